@@ -1,0 +1,127 @@
+"""The artefact: a trained selector with all its settings in one JSON file."""
+
+from __future__ import annotations
+
+import json
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from crosscomb.errors import UsageError
+from crosscomb.files import write_text
+from crosscomb.filters.catalogue import CATALOGUE
+from crosscomb.models.vehicle import Vehicle, describe
+from crosscomb.selector import Tree
+from crosscomb.switch import SwitchSettings
+from crosscomb.windows import WindowSettings
+
+SCHEMA_VERSION = 1
+
+
+class FilterSettings(BaseModel):
+    """One filter that runs: its name in the catalogue and its settings."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    name: str
+    settings: dict[str, Any] = {}
+
+
+class Artefact(BaseModel):
+    """A trained selector with everything a run needs.
+
+    Attributes
+    ----------
+    rate : float
+        Working rate [Hz].
+    filters : list of FilterSettings
+        In the order of the tree's classes.
+    fallback : str
+        Filter that is active before the first decision.
+    vehicle : Vehicle or None
+        The car it was trained for; None when there were several.
+    training : dict
+        Record of the training: seeds, data hashes, versions, metrics. Nothing of it changes a result.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    schema_version: int = SCHEMA_VERSION
+    selector_name: str
+    rate: float = Field(default=100.0, ge=10.0, le=10_000.0)
+    window: WindowSettings
+    filters: list[FilterSettings] = Field(min_length=1)
+    fallback: str
+    switch: SwitchSettings
+    tree: Tree
+    vehicle: Vehicle | None = None
+    training: dict[str, Any] = {}
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Artefact:
+        names = self.filter_names
+        for name in names:
+            if name not in CATALOGUE:
+                raise ValueError(f"filter {name} is not in the catalogue: take of {', '.join(CATALOGUE)}")
+        if len(set(names)) < len(names):
+            raise ValueError("a filter is named twice")
+        if self.fallback not in names:
+            raise ValueError(f"fallback {self.fallback} is none of the filters {', '.join(names)}")
+        if self.tree.n_classes != len(names):
+            raise ValueError(f"the tree has {self.tree.n_classes} classes for {len(names)} filters")
+        if len(self.tree.lowest) != len(self.window.names):
+            raise ValueError(
+                f"the tree has {len(self.tree.lowest)} features, its windows {len(self.window.names)}"
+            )
+        return self
+
+    @property
+    def filter_names(self) -> list[str]:
+        """Names of the filters in the order of the classes."""
+        return [entry.name for entry in self.filters]
+
+
+def load_artefact(path: str | Path | None = None) -> Artefact:
+    """Read and check an artefact; without a path the one that comes with the package.
+
+    Raises
+    ------
+    UsageError
+        The file is missing, no JSON, of another schema version, or unsound.
+    """
+    if path is None:
+        entry = resources.files("crosscomb") / "data" / "reference.json"
+        return parse_artefact(entry.read_text(encoding="utf-8"), "reference.json")
+    path = Path(path)
+    try:
+        text = path.read_text(encoding="utf-8")
+    except FileNotFoundError:
+        raise UsageError(f"{path}: no such artefact: train one with `crosscomb train`") from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise UsageError(f"{path}: cannot be read as an artefact ({error.__class__.__name__})") from None
+    return parse_artefact(text, str(path))
+
+
+def parse_artefact(text: str, source: str) -> Artefact:
+    """Make an artefact from the text of its file; `source` names it in messages."""
+    try:
+        content = json.loads(text)
+    except json.JSONDecodeError as error:
+        raise UsageError(f"{source}: line {error.lineno}: no valid JSON: train the artefact anew") from None
+    version = content.get("schema_version") if isinstance(content, dict) else None
+    if version != SCHEMA_VERSION:
+        raise UsageError(
+            f"{source}: schema version {version!r}, this crosscomb reads {SCHEMA_VERSION}: "
+            f"train the artefact anew with this version"
+        )
+    try:
+        return Artefact(**content)
+    except ValidationError as error:
+        raise UsageError(f"{source}: {describe(error)}: train the artefact anew") from None
+
+
+def save_artefact(artefact: Artefact, path: Path) -> None:
+    """Write an artefact as JSON; the numbers come back exactly."""
+    write_text(path, json.dumps(artefact.model_dump(mode="json"), indent=1) + "\n")

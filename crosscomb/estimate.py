@@ -1,0 +1,243 @@
+"""One log end to end: filters in parallel, selector, switch, and the answer at each row of the log."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import reduce
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from crosscomb.artefact import Artefact
+from crosscomb.errors import UsageError
+from crosscomb.files import write_file
+from crosscomb.filters.base import KernelFilter, make_inputs
+from crosscomb.filters.catalogue import make_filter
+from crosscomb.models.vehicle import Vehicle, load_vehicle
+from crosscomb.prepare import complete
+from crosscomb.resample import Segment, resample, rows_to_grid
+from crosscomb.signals import MIN_SPEED, Signals
+from crosscomb.switch import switch
+from crosscomb.windows import WindowSettings, window_features
+
+STALE = 1.0
+"""Without speed, steering, or both yaw rate and ay for this long [s] the estimate is invalid."""
+
+REVERSE_SPEED = -0.3
+"""Below this vx [m/s] the car reverses; speed sensors at rest read a little on either side of 0."""
+
+NEEDED = ("vx", "ax", "ay", "yaw_rate", "steer")
+"""Channels that every sample should have; one missing makes the status degraded."""
+
+
+@dataclass(frozen=True)
+class FilterRun:
+    """What the filters made of one segment, at the working rate.
+
+    Attributes
+    ----------
+    segment : Segment
+    beta, beta_std, nis : (n, filters) [rad], [rad], [-]
+    features : (n, f) float32
+        Of the window that ends at each sample.
+    """
+
+    segment: Segment
+    beta: np.ndarray
+    beta_std: np.ndarray
+    nis: np.ndarray
+    features: np.ndarray
+
+
+@dataclass(frozen=True)
+class LogEstimate:
+    """Answer at each row of a log.
+
+    Attributes
+    ----------
+    signals : Signals
+        The log, completed.
+    beta, beta_std : (n,) [rad]
+    active : (n,) str
+        Name of the filter that is active.
+    status : (n,) str
+        ``ok``, or words joined by ``+``.
+    filters : dict of str to (n,) [rad]
+        beta of each filter.
+    """
+
+    signals: Signals
+    beta: np.ndarray
+    beta_std: np.ndarray
+    active: np.ndarray
+    status: np.ndarray
+    filters: dict[str, np.ndarray]
+
+    def table(self) -> pd.DataFrame:
+        """Columns of the estimate file: t, beta, beta_std, active, status and beta of each filter."""
+        columns = {"t": self.signals.t, "beta": self.beta, "beta_std": self.beta_std}
+        filters = {f"beta_{name}": beta for name, beta in self.filters.items()}
+        return pd.DataFrame({**columns, "active": self.active, "status": self.status, **filters})
+
+
+def run_filters(
+    signals: Signals, vehicle: Vehicle, filters: Sequence[KernelFilter], rate: float, window: WindowSettings
+) -> list[FilterRun]:
+    """Run filters over a log and cut its windows; training and run time both start here.
+
+    Parameters
+    ----------
+    signals : Signals
+        Completed by `crosscomb.prepare.complete`.
+    vehicle : Vehicle
+    filters : sequence of KernelFilter
+    rate : float [Hz]
+    window : WindowSettings
+    """
+    runs = []
+    for segment in resample(signals, rate):
+        inputs = make_inputs(segment.signals, vehicle, 1.0 / rate)
+        estimates = [estimator.run(inputs) for estimator in filters]
+        runs.append(
+            FilterRun(
+                segment=segment,
+                beta=np.column_stack([estimate.beta for estimate in estimates]),
+                beta_std=np.column_stack([estimate.beta_std for estimate in estimates]),
+                nis=np.column_stack([estimate.nis for estimate in estimates]),
+                features=window_features(
+                    segment.signals.column("ay"), segment.signals.column("yaw_rate"), window
+                ),
+            )
+        )
+    return runs
+
+
+def make_filters(artefact: Artefact, vehicle: Vehicle) -> list[KernelFilter]:
+    """Make the artefact's filters for a vehicle."""
+    return [make_filter(entry.name, vehicle, entry.settings) for entry in artefact.filters]
+
+
+def estimate_log(signals: Signals, vehicle: Vehicle, artefact: Artefact) -> LogEstimate:
+    """Estimate the sideslip angle at each row of a log.
+
+    A row holds the newest estimate at or before its time; none is made from later samples.
+
+    Parameters
+    ----------
+    signals : Signals
+        As read from a file.
+    vehicle : Vehicle
+    artefact : Artefact
+    """
+    signals = complete(signals, vehicle)
+    names = artefact.filter_names
+    runs = run_filters(signals, vehicle, make_filters(artefact, vehicle), artefact.rate, artefact.window)
+    parts = []
+    for run in runs:
+        beta, beta_std, active = select(run, artefact)
+        status = _status(run.segment.signals, artefact.tree.outside(run.features), artefact.rate)
+        rows = signals.t[run.segment.start_row : run.segment.stop_row]
+        at = rows_to_grid(rows, run.segment, artefact.rate)
+        parts.append((beta[at], beta_std[at], np.array(names)[active[at]], status[at], run.beta[at]))
+    beta, beta_std, active, status, each = (np.concatenate(column) for column in zip(*parts, strict=True))
+    filters = {name: each[:, i] for i, name in enumerate(names)}
+    return LogEstimate(signals, beta, beta_std, active, status, filters)
+
+
+def select(run: FilterRun, artefact: Artefact) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Let the artefact's tree and switch choose among the filters of one segment.
+
+    Returns
+    -------
+    beta, beta_std : (n,) [rad]
+    active : (n,) int
+        Index of the active filter.
+    """
+    decision = artefact.tree.predict(run.features)
+    first = artefact.filter_names.index(artefact.fallback)
+    return switch(run.beta, run.beta_std, decision, artefact.switch, 1.0 / artefact.rate, first)
+
+
+def _status(signals: Signals, outside: np.ndarray, rate: float) -> np.ndarray:
+    """Words that say how far to trust each sample, joined by ``+``."""
+    vx = signals.column("vx")
+    missing = {name: ~np.isfinite(signals.column(name)) for name in NEEDED}
+    lost = (
+        (_age(missing["vx"], rate) > STALE)
+        | (_age(missing["steer"], rate) > STALE)
+        | (_age(missing["yaw_rate"] & missing["ay"], rate) > STALE)
+    )
+    known_speed = pd.Series(vx).ffill().fillna(0.0).to_numpy()
+    words = {
+        "low_speed": (known_speed <= MIN_SPEED) & (known_speed >= REVERSE_SPEED),
+        "degraded": reduce(np.logical_or, missing.values()),
+        "extrapolating": outside & (known_speed > MIN_SPEED),
+        "invalid": lost,
+        "reverse": known_speed < REVERSE_SPEED,
+    }
+    return join_words(words)
+
+
+def join_words(words: Mapping[str, np.ndarray]) -> np.ndarray:
+    """Join the words that hold ``(n,) bool`` at each sample by ``+``; ``ok`` where none does."""
+    code = np.zeros(len(next(iter(words.values()))), dtype=np.int64)
+    for bit, holds in enumerate(words.values()):
+        code |= holds.astype(np.int64) << bit
+    texts = [
+        "+".join(word for bit, word in enumerate(words) if value >> bit & 1) or "ok"
+        for value in range(1 << len(words))
+    ]
+    return np.array(texts, dtype=object)[code]
+
+
+def _age(missing: np.ndarray, rate: float) -> np.ndarray:
+    """Time since the last sample that was there ``(n,) [s]``, infinite before the first."""
+    index = np.arange(len(missing))
+    last = np.maximum.accumulate(np.where(missing, -1, index))
+    return np.where(last < 0, np.inf, (index - last) / rate)
+
+
+def choose_vehicle(log: Path, given: Path | None, artefact: Artefact) -> tuple[Vehicle, str, str]:
+    """Find the vehicle of a log: given, beside the log, in the artefact, or the generic car.
+
+    Returns
+    -------
+    vehicle : Vehicle
+    origin : str
+        Where it came from, for the record.
+    warning : str
+        What the user must know about it; empty when all is well.
+    """
+    if given is not None:
+        return load_vehicle(given), str(given), ""
+    beside = log.parent / "vehicle.toml"
+    if beside.exists():
+        return load_vehicle(beside), str(beside), ""
+    if artefact.vehicle is not None:
+        return artefact.vehicle, "artefact", ""
+    warning = (
+        f"{log}: no vehicle file: the generic compact car is taken, its beta can be far off: "
+        f"give --vehicle, or write vehicle.toml beside the log with `crosscomb vehicle`"
+    )
+    return load_vehicle("generic_compact"), "generic_compact", warning
+
+
+def require_road_wheel_angle(signals: Signals, origin: str) -> None:
+    """Refuse a log that has only the hand-wheel angle when the car, and so its steering ratio, is unknown.
+
+    Raises
+    ------
+    UsageError
+    """
+    if origin == "generic_compact" and not signals.has("steer"):
+        raise UsageError(
+            f"{signals.source}: column steer is missing and steer_wheel needs the car's steering ratio: "
+            f"give --vehicle, or map steer with scale = 1 / ratio (--map)"
+        )
+
+
+def write_estimate(estimate: LogEstimate, path: Path) -> None:
+    """Write the estimate file, whole or not at all."""
+    write_file(path, lambda temporary: estimate.table().to_csv(temporary, index=False, lineterminator="\n"))

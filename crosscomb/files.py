@@ -1,0 +1,82 @@
+"""Write output files whole or not at all, and record what a run was made of."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import platform
+import tempfile
+from collections.abc import Callable, Iterable
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+from crosscomb.errors import UsageError
+
+RECORDED_PACKAGES = ("crosscomb", "numpy", "numba", "pandas", "scikit-learn", "scipy")
+
+
+def write_file(path: Path, write: Callable[[Path], object]) -> None:
+    """Let `write` fill a temporary file beside `path`, then rename it: no half-written file is ever seen.
+
+    Raises
+    ------
+    UsageError
+        The folder cannot be made or written.
+    """
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        # The suffix stays: writers choose their format by it.
+        handle, name = tempfile.mkstemp(
+            dir=path.parent, prefix=".writing-", suffix="".join(path.suffixes[-2:])
+        )
+    except OSError as error:
+        raise UsageError(f"{path}: cannot be written ({error.strerror}): choose another folder") from None
+    os.close(handle)
+    temporary = Path(name)
+    try:
+        write(temporary)
+        temporary.chmod(0o644)
+        temporary.replace(path)
+    except OSError as error:
+        raise UsageError(f"{path}: cannot be written ({error.strerror})") from None
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a text file whole or not at all, with the same bytes on every system."""
+    write_file(path, lambda temporary: temporary.write_bytes(text.encode("utf-8")))
+
+
+def file_hash(path: Path) -> str:
+    """SHA-256 of a file's bytes."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def versions() -> dict[str, str]:
+    """Versions of Python and of the packages that results depend on."""
+    found = {"python": platform.python_version()}
+    for package in RECORDED_PACKAGES:
+        try:
+            found[package] = version(package)
+        except PackageNotFoundError:
+            continue
+    return found
+
+
+def run_record(command: str, settings: dict[str, Any], inputs: Iterable[Path]) -> dict[str, Any]:
+    """What a run was made of: settings, versions and the hash of each input."""
+    return {
+        "command": command,
+        "settings": settings,
+        "versions": versions(),
+        "inputs": {path.name: file_hash(path) for path in inputs},
+    }
+
+
+def write_json(path: Path, content: Any) -> None:
+    """Write JSON for people and programs."""
+    write_text(path, json.dumps(content, indent=1, default=str) + "\n")

@@ -1,0 +1,180 @@
+"""One log in SI units and ISO 8855 signs: the names, the units, the table and its validation."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import pandas as pd
+
+from crosscomb.errors import UsageError
+
+GRAVITY = 9.81
+"""Standard gravity [m/s^2]."""
+
+MIN_SPEED = 3.0
+"""Below this vx [m/s] the slip references are worthless: status low_speed, nothing is scored."""
+
+UNITS: dict[str, str] = {
+    "t": "s",
+    "vx": "m/s",
+    "ax": "m/s^2",
+    "ay": "m/s^2",
+    "yaw_rate": "rad/s",
+    "steer": "rad",
+    "steer_wheel": "rad",
+    "steer_rear": "rad",
+    "vfl": "m/s",
+    "vfr": "m/s",
+    "vrl": "m/s",
+    "vrr": "m/s",
+    "torque_fl": "N m",
+    "torque_fr": "N m",
+    "torque_rl": "N m",
+    "torque_rr": "N m",
+    "beta_ref": "rad",
+    "vx_ref": "m/s",
+    "vy_ref": "m/s",
+}
+"""Every known column with its SI unit; other columns of a log are ignored."""
+
+WHEEL_SPEEDS = ("vfl", "vfr", "vrl", "vrr")
+TORQUES = ("torque_fl", "torque_fr", "torque_rl", "torque_rr")
+REFERENCES = ("beta_ref", "vx_ref", "vy_ref")
+
+
+@dataclass(frozen=True)
+class Signals:
+    """One log: a table of known columns, in SI units and ISO 8855 signs.
+
+    Attributes
+    ----------
+    name : str
+        File name without ``.csv`` or ``.csv.gz``; names the outputs.
+    frame : pandas.DataFrame
+        ``(n, columns)`` float64, column ``t`` [s] strictly increasing; NaN means "no measurement".
+    source : str
+        Where it came from, for messages.
+    notes : tuple of str
+        What was done to the log on the way here, in words for the user.
+    """
+
+    name: str
+    frame: pd.DataFrame
+    source: str = ""
+    notes: tuple[str, ...] = field(default=())
+
+    def __len__(self) -> int:
+        return len(self.frame)
+
+    @property
+    def t(self) -> np.ndarray:
+        """Time ``(n,) [s]``."""
+        return self.column("t")
+
+    def column(self, name: str) -> np.ndarray:
+        """Values of a column ``(n,)`` in its SI unit; all NaN where the log does not have it."""
+        if name in self.frame:
+            return self.frame[name].to_numpy(dtype=np.float64)
+        return np.full(len(self.frame), np.nan)
+
+    def has(self, name: str) -> bool:
+        """Tell whether the column holds at least one measurement."""
+        return name in self.frame and bool(self.frame[name].notna().any())
+
+    @property
+    def beta_ref(self) -> np.ndarray:
+        """Ground-truth sideslip angle ``(n,) [rad]``; beta_ref wins over vx_ref and vy_ref."""
+        velocity = np.arctan2(self.column("vy_ref"), self.column("vx_ref"))
+        return np.where(np.isfinite(self.column("beta_ref")), self.column("beta_ref"), velocity)
+
+    @property
+    def has_reference(self) -> bool:
+        """Tell whether there is ground truth where it can be scored (vx above `MIN_SPEED`)."""
+        return bool(np.any(np.isfinite(self.beta_ref) & (self.column("vx") > MIN_SPEED)))
+
+    def with_columns(self, note: str = "", **columns: np.ndarray) -> Signals:
+        """Copy with columns added or replaced, and a note of what was done."""
+        notes = (*self.notes, note) if note else self.notes
+        return replace(self, frame=self.frame.assign(**columns), notes=notes)
+
+
+def make_signals(frame: pd.DataFrame, name: str, source: str = "", others: Sequence[str] = ()) -> Signals:
+    """Validate a table and take its known columns as one log.
+
+    Parameters
+    ----------
+    frame : pandas.DataFrame
+        Numeric columns named as in `UNITS`; unknown ones are dropped. An index called ``row`` holds the row
+        numbers in the file, for messages; without it the rows count from 2 (the header is row 1).
+    name, source : str
+        Name of the log, and what messages call it.
+    others : sequence of str
+        Columns of the log that are not known, to be named where a needed one is missing.
+
+    Raises
+    ------
+    UsageError
+        A needed column is missing or empty, fewer than two rows, or t does not increase.
+    """
+    source = source or name
+    rows = frame.index.to_numpy() if frame.index.name == "row" else np.arange(len(frame)) + 2
+    known = [column for column in UNITS if column in frame]
+    table = frame[known].astype(np.float64).reset_index(drop=True)
+    _require_columns(table, source, others)
+    infinite = int(np.isinf(table.to_numpy()).sum())
+    notes: tuple[str, ...] = ()
+    if infinite:
+        table = table.replace([np.inf, -np.inf], np.nan)
+        notes = (f"{infinite} infinite values taken as missing",)
+    _require_increasing_time(table, source, rows)
+    _require_values(table, source)
+    return Signals(name=name, frame=table, source=source, notes=notes)
+
+
+def _require_columns(table: pd.DataFrame, source: str, others: Sequence[str]) -> None:
+    has = f" (its other columns: {', '.join(others[:12])}{', ...' if len(others) > 12 else ''})" if others else ""
+    mend = "or name the log's own column for it in a channel map (--map)"
+    for column in ("t", "ay", "yaw_rate"):
+        if column not in table:
+            raise UsageError(f"{source}: column {column} [{UNITS[column]}] is missing{has}: add it, {mend}")
+    if "steer" not in table and "steer_wheel" not in table:
+        raise UsageError(
+            f"{source}: column steer [rad] is missing, and so is steer_wheel{has}: add one of them, {mend}"
+        )
+    if "vx" not in table and not all(wheel in table for wheel in WHEEL_SPEEDS):
+        wheels = ", ".join(WHEEL_SPEEDS)
+        raise UsageError(
+            f"{source}: column vx [m/s] is missing{has}: add it or all four wheel speeds {wheels}, {mend}"
+        )
+    if len(table) < 2:
+        count = "no data rows" if len(table) == 0 else "one data row"
+        raise UsageError(f"{source}: has {count}, at least two are needed: record a longer log")
+
+
+def _require_increasing_time(table: pd.DataFrame, source: str, rows: np.ndarray) -> None:
+    t = table["t"].to_numpy()
+    bad = np.flatnonzero(~np.isfinite(t))
+    if bad.size:
+        raise UsageError(f"{source}: row {rows[bad[0]]}, column t: no time there: fill it in or delete the row")
+    step = np.flatnonzero(np.diff(t) <= 0.0)
+    if step.size:
+        row = int(step[0]) + 1
+        what = "repeats" if t[row] == t[row - 1] else "goes backwards"
+        raise UsageError(
+            f"{source}: row {rows[row]}, column t: time {what} ({t[row - 1]:.10g} then {t[row]:.10g} s): "
+            f"sort the rows and delete repeated ones"
+        )
+
+
+def _require_values(table: pd.DataFrame, source: str) -> None:
+    for column in ("ay", "yaw_rate"):
+        if not table[column].notna().any():
+            raise UsageError(f"{source}: column {column} has no value in any row: log that channel")
+    if not any(column in table and table[column].notna().any() for column in ("steer", "steer_wheel")):
+        present = " and ".join(column for column in ("steer", "steer_wheel") if column in table)
+        raise UsageError(f"{source}: column {present} has no value in any row: log the steering angle")
+    wheels = all(wheel in table and table[wheel].notna().any() for wheel in WHEEL_SPEEDS)
+    if not wheels and not ("vx" in table and table["vx"].notna().any()):
+        raise UsageError(f"{source}: column vx has no value in any row: log the speed, or all four wheel speeds")

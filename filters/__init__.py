@@ -1,0 +1,1 @@
+"""Estimators of the sideslip angle: algorithms applied to the models."""

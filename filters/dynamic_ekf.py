@@ -1,0 +1,124 @@
+"""Dynamic extended Kalman filter on the nonlinear single-track model.
+
+State [yaw_rate, beta]; measurements yaw rate and ay (Atheupe 2023, eq. 22 and 23, corrected). The longitudinal
+forces are inputs taken from ax or the wheel torques, so the ax row of eq. 23 tells nothing new and is left out.
+Right while the tyre law is right; wrong when the car slides on another friction than the vehicle file's.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from numba import njit
+
+from crosscomb.filters.base import (
+    AX, AY, BETA, BETA_STD, FXF, FXR, MAX_BETA, NIS, STEER, STEER_REAR, VX, YAW_RATE,
+    KernelFilter, below_gate, low_speed_answer, propagate, scalar_update,
+)  # fmt: skip
+from crosscomb.models.single_track import single_track_rates, stable_substeps
+
+
+class DynamicNoise(NamedTuple):
+    """Noise settings of the dynamic filter; process densities, so that they hold at every rate."""
+
+    yaw_acceleration: float = 0.6  # model error [rad/s^2 per sqrt(Hz)]
+    slip_rate: float = 0.08  # model error [rad/s per sqrt(Hz)]
+    yaw_rate: float = 0.02  # measured yaw rate [rad/s]
+    ay: float = 1.0  # measured ay, with what the tyre law gets wrong [m/s^2]
+
+
+@njit(cache=True)
+def dynamic_predict(state, sample, car, noise, dt):
+    """Predict [yaw_rate, beta] over dt by Euler steps, as many as keep the stiff low-speed modes stable."""
+    mean = state.mean
+    vx = sample[VX]
+    ax = sample[AX] if math.isfinite(sample[AX]) else 0.0
+    ay = sample[AY] if math.isfinite(sample[AY]) else 0.0
+    steps = stable_substeps(vx, dt, car)
+    h = dt / steps
+    for _ in range(steps):
+        rates, _, jacobian = single_track_rates(
+            mean[0], mean[1], vx, sample[STEER], sample[STEER_REAR], sample[FXF], sample[FXR], ax, ay, car
+        )
+        yaw_r, slip_r, _, _, yaw_b, slip_b, _, _ = jacobian
+        mean[0] += h * rates[0]
+        mean[1] = min(max(mean[1] + h * rates[1], -MAX_BETA), MAX_BETA)
+        propagate(
+            state.cov, 1.0 + h * yaw_r, h * yaw_b, h * slip_r, 1.0 + h * slip_b,
+            noise.yaw_acceleration**2 * h, 0.0, noise.slip_rate**2 * h,
+        )  # fmt: skip
+
+
+@njit(cache=True)
+def dynamic_update(state, sample, car, noise):
+    """Update with the yaw rate and ay that are there; give the NIS, NaN without any.
+
+    One after the other with the Jacobian of the prediction, which equals the joint update as their noises are
+    independent.
+    """
+    mean = state.mean
+    yaw_prior, beta_prior = mean[0], mean[1]
+    ax = sample[AX] if math.isfinite(sample[AX]) else 0.0
+    ay = sample[AY] if math.isfinite(sample[AY]) else 0.0
+    _, measured, jacobian = single_track_rates(
+        yaw_prior,
+        beta_prior,
+        sample[VX],
+        sample[STEER],
+        sample[STEER_REAR],
+        sample[FXF],
+        sample[FXR],
+        ax,
+        ay,
+        car,
+    )
+    ay_r, ay_b = jacobian[3], jacobian[7]
+    nis = math.nan
+    if math.isfinite(sample[YAW_RATE]):
+        nis = scalar_update(state, 1.0, 0.0, sample[YAW_RATE] - yaw_prior, noise.yaw_rate**2)
+    if math.isfinite(sample[AY]):
+        expected = measured[1] + ay_r * (mean[0] - yaw_prior) + ay_b * (mean[1] - beta_prior)
+        part = scalar_update(state, ay_r, ay_b, sample[AY] - expected, noise.ay**2)
+        nis = part if math.isnan(nis) else nis + part
+    mean[1] = min(max(mean[1], -MAX_BETA), MAX_BETA)
+    return nis
+
+
+@njit(cache=True)
+def dynamic_step(state, sample, car, noise, dt, out):
+    """One sample of the dynamic filter; `out` ``(3,)`` gets beta, its standard deviation and the NIS."""
+    mean, cov = state.mean, state.cov
+    if below_gate(sample):
+        low_speed_answer(sample, car, out)
+        state.running[0] = 0
+        return
+    if state.running[0] == 0:
+        low_speed_answer(sample, car, out)
+        mean[0] = sample[YAW_RATE] if math.isfinite(sample[YAW_RATE]) else 0.0
+        mean[1] = out[BETA]
+        cov[0, 0], cov[0, 1], cov[1, 0], cov[1, 1] = noise.yaw_rate**2, 0.0, 0.0, out[BETA_STD] ** 2
+        state.running[0] = 1
+        return
+    dynamic_predict(state, sample, car, noise, dt)
+    out[NIS] = dynamic_update(state, sample, car, noise)
+    out[BETA] = mean[1]
+    out[BETA_STD] = math.sqrt(cov[1, 1])
+
+
+@njit(cache=True)
+def dynamic_run(state, samples, car, noise, dt, out):
+    """All samples of the dynamic filter."""
+    for k in range(samples.shape[0]):
+        dynamic_step(state, samples[k], car, noise, dt, out[k])
+
+
+@dataclass(frozen=True)
+class DynamicEKF(KernelFilter):
+    """Dynamic extended Kalman filter of one vehicle."""
+
+    noise: DynamicNoise = DynamicNoise()
+
+    step_kernel = staticmethod(dynamic_step)
+    run_kernel = staticmethod(dynamic_run)

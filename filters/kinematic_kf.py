@@ -1,0 +1,88 @@
+"""Kinematic Kalman filter: integrates the accelerometers, corrected by the speed.
+
+State [vx, vy]; inputs ax, ay and yaw rate; measurement vx (Atheupe 2023, eq. 18 to 21). Needs no tyre, so slides
+do not hurt it. Its vy is observable only while the car turns; in straight driving it drifts with the sensor
+errors, which a slow relaxation of vy towards 0 bounds.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from numba import njit
+
+from crosscomb.filters.base import (
+    AX, AY, BETA, BETA_STD, NIS, VX, YAW_RATE,
+    KernelFilter, below_gate, low_speed_answer, propagate, scalar_update,
+)  # fmt: skip
+from crosscomb.models.kinematic import input_gain, rotation
+
+
+class KinematicNoise(NamedTuple):
+    """Noise settings of the kinematic filter; densities, so that they hold at every rate."""
+
+    accel: float = 0.5  # accelerometer error, bank and slope included [m/s^2 per sqrt(Hz)]
+    speed: float = 0.1  # measured vx [m/s]
+    relaxation: float = 0.1  # rate at which vy forgets in unobservable driving [1/s]
+    missing_accel: float = 3.0  # accelerometer error while a channel is missing [m/s^2 per sqrt(Hz)]
+
+
+@njit(cache=True)
+def kinematic_predict(state, ax, ay, yaw_rate, noise, dt):
+    """Predict [vx, vy] over dt with held accelerations; a missing one keeps the velocity and widens it."""
+    mean, cov = state.mean, state.cov
+    density = noise.accel
+    if not (math.isfinite(ax) and math.isfinite(ay) and math.isfinite(yaw_rate)):
+        ax, ay, yaw_rate, density = 0.0, 0.0, 0.0, noise.missing_accel
+    f00, f01, f10, f11 = rotation(yaw_rate, dt)
+    g00, g01, g10, g11 = input_gain(yaw_rate, dt)
+    decay = math.exp(-noise.relaxation * dt)
+    vx, vy = mean[0], mean[1]
+    mean[0] = f00 * vx + f01 * decay * vy + g00 * ax + g01 * ay
+    mean[1] = f10 * vx + f11 * decay * vy + g10 * ax + g11 * ay
+    variance = density * density * dt
+    propagate(cov, f00, f01 * decay, f10, f11 * decay, variance, 0.0, variance)
+
+
+@njit(cache=True)
+def kinematic_step(state, sample, car, noise, dt, out):
+    """One sample of the kinematic filter; `out` ``(3,)`` gets beta, its standard deviation and the NIS."""
+    mean, cov = state.mean, state.cov
+    vx = sample[VX]
+    if below_gate(sample):
+        low_speed_answer(sample, car, out)
+        state.running[0] = 0
+        return
+    if state.running[0] == 0:
+        low_speed_answer(sample, car, out)
+        mean[0], mean[1] = vx, vx * math.tan(out[BETA])
+        cov[0, 0], cov[0, 1], cov[1, 0] = noise.speed**2, 0.0, 0.0
+        cov[1, 1] = (vx * out[BETA_STD]) ** 2
+        state.running[0] = 1
+        return
+    kinematic_predict(state, sample[AX], sample[AY], sample[YAW_RATE], noise, dt)
+    out[NIS] = scalar_update(state, 1.0, 0.0, vx - mean[0], noise.speed**2)
+    speed2 = mean[0] * mean[0] + mean[1] * mean[1]
+    out[BETA] = math.atan2(mean[1], mean[0])
+    # beta = atan2(vy, vx): its gradient is [-vy, vx] / V^2
+    spread = mean[1] ** 2 * cov[0, 0] - 2.0 * mean[0] * mean[1] * cov[0, 1] + mean[0] ** 2 * cov[1, 1]
+    out[BETA_STD] = math.sqrt(spread) / speed2
+
+
+@njit(cache=True)
+def kinematic_run(state, samples, car, noise, dt, out):
+    """All samples of the kinematic filter."""
+    for k in range(samples.shape[0]):
+        kinematic_step(state, samples[k], car, noise, dt, out[k])
+
+
+@dataclass(frozen=True)
+class KinematicKF(KernelFilter):
+    """Kinematic Kalman filter of one vehicle."""
+
+    noise: KinematicNoise = KinematicNoise()
+
+    step_kernel = staticmethod(kinematic_step)
+    run_kernel = staticmethod(kinematic_run)

@@ -1,0 +1,242 @@
+"""Particle filter on the random-walk force model.
+
+State [yaw_rate, beta, fxf, fxr, fyf, fyr] (Atheupe 2023, eq. 29, corrected); weights from yaw rate, ax and ay
+(eq. 23) and from a dynamic EKF's beta as pseudo-measurement (eq. 17). Uniform first particles and uniform process
+noise as in the paper's section 4. The forces are free, so neither friction nor stiffness needs to be known; only the
+pseudo-measurement ties beta down, and softly.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from numba import njit
+
+from crosscomb.filters.base import (
+    AX, AY, BETA, BETA_STD, MAX_BETA, NIS, STEER, STEER_REAR, VX, YAW_RATE,
+    Gaussian, KernelFilter, below_gate, gaussian, low_speed_answer,
+)  # fmt: skip
+from crosscomb.filters.dynamic_ekf import DynamicNoise, dynamic_step
+from crosscomb.models.single_track import body_rates
+
+
+class ParticleNoise(NamedTuple):
+    """Noise settings of the particle filter; process densities, so that they hold at every rate."""
+
+    force: float = 2.0  # random walk of an axle force over the mass [m/s^2 per sqrt(s)]
+    yaw_acceleration: float = 0.3  # model error [rad/s^2 per sqrt(Hz)]
+    slip_rate: float = 0.04  # model error, sensor bias and bank included [rad/s per sqrt(Hz)]
+    yaw_rate: float = 0.04  # measured yaw rate [rad/s]
+    accel: float = 1.0  # measured ax and ay [m/s^2]
+    pseudo: float = 0.015  # pseudo-measurement of beta, counted once per second [rad]
+    ekf: DynamicNoise = DynamicNoise()  # of the EKF that gives the pseudo-measurement
+
+
+class Particles(NamedTuple):
+    """State of the particle filter, changed in place by its kernel."""
+
+    x: np.ndarray  # (6, n) yaw_rate, beta, fxf, fxr, fyf, fyr
+    log_weights: np.ndarray  # (n,) up to a constant
+    weights: np.ndarray  # (n,) sum to one
+    scratch: np.ndarray  # (6, n) random numbers, then resampled particles before they are copied back
+    running: np.ndarray  # (1,) 1 above the low-speed gate
+    ekf: Gaussian
+    ekf_out: np.ndarray  # (3,)
+    rng: np.random.Generator
+
+
+FIRST_SPREAD = (0.2, math.radians(8.0), 2.0, 2.0, 2.0, 2.0)
+"""Half width of the uniform first particles: yaw rate [rad/s], beta [rad], forces over the mass [m/s^2]."""
+
+UNIFORM = math.sqrt(12.0)  # width of a uniform distribution of unit variance
+
+
+@njit(cache=True)
+def sin_cos(angle):
+    """Sine and cosine for |angle| <= `MAX_BETA`, by power series to 1e-11: inlines into vector instructions."""
+    y = angle * angle
+    sine = 1 - y * (1 / 156) * (1 - y * (1 / 210) * (1 - y * (1 / 272)))
+    sine = 1 - y * (1 / 42) * (1 - y * (1 / 72) * (1 - y * (1 / 110) * sine))
+    sine = 1 - y * (1 / 6) * (1 - y * (1 / 20) * sine)
+    cosine = 1 - y * (1 / 132) * (1 - y * (1 / 182) * (1 - y * (1 / 240)))
+    cosine = 1 - y * (1 / 30) * (1 - y * (1 / 56) * (1 - y * (1 / 90) * cosine))
+    cosine = 1 - y * (1 / 2) * (1 - y * (1 / 12) * cosine)
+    return angle * sine, cosine
+
+
+@njit(cache=True)
+def first_particles(particles, centre_yaw, centre_beta, mass):
+    """Spread the particles uniformly around a first guess."""
+    x, rng = particles.x, particles.rng
+    for row in range(6):
+        centre = centre_yaw if row == 0 else centre_beta if row == 1 else 0.0
+        half = FIRST_SPREAD[row] * (mass if row > 1 else 1.0)
+        for i in range(x.shape[1]):
+            x[row, i] = centre + half * (2.0 * rng.random() - 1.0)
+    particles.log_weights[:] = 0.0
+
+
+@njit(cache=True)
+def draw_uniform(rng, noise):
+    """Fill ``(6, n)`` with uniform noise of zero mean and unit variance.
+
+    A random double holds 53 bits; it serves two states with 26 each, as drawing is what costs the time.
+    """
+    half = 2.0**26
+    for row in range(3):
+        for i in range(noise.shape[1]):
+            noise[row, i] = rng.random()
+    for row in range(3):
+        for i in range(noise.shape[1]):
+            scaled = noise[row, i] * half
+            whole = math.floor(scaled)
+            noise[row, i] = UNIFORM * (whole / half - 0.5)
+            noise[row + 3, i] = UNIFORM * (scaled - whole - 0.5)
+
+
+@njit(cache=True)
+def move_and_weigh(particles, sample, beta_ekf, car, noise, dt):
+    """Predict every particle over dt and add its log likelihood to its log weight."""
+    x, log_weights, draws = particles.x, particles.log_weights, particles.scratch
+    draw_uniform(particles.rng, draws)
+    vx = sample[VX]
+    cos_f, sin_f = math.cos(sample[STEER]), math.sin(sample[STEER])
+    cos_r, sin_r = math.cos(sample[STEER_REAR]), math.sin(sample[STEER_REAR])
+    root = math.sqrt(dt)
+    force, yaw, slip = root * noise.force * car.mass, root * noise.yaw_acceleration, root * noise.slip_rate
+    # A missing measurement gets no say: its precision is zero.
+    p_yaw = 0.5 / noise.yaw_rate**2 if math.isfinite(sample[YAW_RATE]) else 0.0
+    p_ax = 0.5 / noise.accel**2 if math.isfinite(sample[AX]) else 0.0
+    p_ay = 0.5 / noise.accel**2 if math.isfinite(sample[AY]) else 0.0
+    # The EKF's error lasts long, so its beta counts as one measurement per second, spread over the steps.
+    p_beta = 0.5 * dt / noise.pseudo**2
+    z_yaw = sample[YAW_RATE] if p_yaw > 0.0 else 0.0
+    z_ax = sample[AX] if p_ax > 0.0 else 0.0
+    z_ay = sample[AY] if p_ay > 0.0 else 0.0
+    for i in range(x.shape[1]):
+        fxf, fxr = x[2, i] + force * draws[2, i], x[3, i] + force * draws[3, i]
+        fyf, fyr = x[4, i] + force * draws[4, i], x[5, i] + force * draws[5, i]
+        sin_b, cos_b = sin_cos(x[1, i])
+        yaw_acceleration, beta_rate, ax, ay = body_rates(
+            fxf, fxr, fyf, fyr, vx, x[0, i], cos_f, sin_f, cos_r, sin_r,
+            cos_b, sin_b, car.mass, car.yaw_inertia, car.a, car.b,
+        )  # fmt: skip
+        yaw_rate = x[0, i] + dt * yaw_acceleration + yaw * draws[0, i]
+        beta = min(max(x[1, i] + dt * beta_rate + slip * draws[1, i], -MAX_BETA), MAX_BETA)
+        x[0, i], x[1, i], x[2, i], x[3, i], x[4, i], x[5, i] = yaw_rate, beta, fxf, fxr, fyf, fyr
+        log_weights[i] -= (
+            p_yaw * (z_yaw - yaw_rate) ** 2
+            + p_ax * (z_ax - ax) ** 2
+            + p_ay * (z_ay - ay) ** 2
+            + p_beta * (beta_ekf - beta) ** 2
+        )
+
+
+@njit(cache=True)
+def normalise(log_weights, weights):
+    """Turn log weights into weights that sum to one; give the effective sample size."""
+    best = -math.inf
+    for i in range(weights.size):
+        best = max(best, log_weights[i])
+    total, squares = 0.0, 0.0
+    for i in range(weights.size):
+        log_weights[i] -= best
+        weights[i] = math.exp(log_weights[i])
+        total += weights[i]
+        squares += weights[i] * weights[i]
+    for i in range(weights.size):
+        weights[i] /= total
+    return total * total / squares
+
+
+@njit(cache=True)
+def systematic_resample(particles):
+    """Draw the particles anew by their weights, with one random offset for all (systematic resampling)."""
+    x, weights, scratch = particles.x, particles.weights, particles.scratch
+    n = weights.size
+    offset = particles.rng.random()
+    source, cumulative = 0, weights[0]
+    for i in range(n):
+        position = (i + offset) / n
+        while cumulative < position and source < n - 1:
+            source += 1
+            cumulative += weights[source]
+        for row in range(6):
+            scratch[row, i] = x[row, source]
+    x[:, :] = scratch
+    particles.log_weights[:] = 0.0
+
+
+@njit(cache=True)
+def weighted_beta(particles):
+    """Mean and standard deviation of beta over the weighted particles [rad] (Atheupe 2023, eq. 16)."""
+    beta, weights = particles.x[1], particles.weights
+    mean = 0.0
+    for i in range(weights.size):
+        mean += weights[i] * beta[i]
+    variance = 0.0
+    for i in range(weights.size):
+        variance += weights[i] * (beta[i] - mean) ** 2
+    return mean, math.sqrt(variance)
+
+
+@njit(cache=True)
+def particle_step(particles, sample, car, noise, dt, out):
+    """One sample of the particle filter; `out` ``(3,)`` gets beta, its standard deviation and NaN."""
+    dynamic_step(particles.ekf, sample, car, noise.ekf, dt, particles.ekf_out)
+    beta_ekf = particles.ekf_out[BETA]
+    if below_gate(sample):
+        low_speed_answer(sample, car, out)
+        particles.running[0] = 0
+        return
+    if particles.running[0] == 0:
+        yaw_rate = sample[YAW_RATE] if math.isfinite(sample[YAW_RATE]) else 0.0
+        first_particles(particles, yaw_rate, beta_ekf, car.mass)
+        low_speed_answer(sample, car, out)
+        particles.running[0] = 1
+        return
+    move_and_weigh(particles, sample, beta_ekf, car, noise, dt)
+    effective = normalise(particles.log_weights, particles.weights)
+    out[BETA], out[BETA_STD] = weighted_beta(particles)
+    out[NIS] = math.nan
+    if effective < 0.5 * particles.weights.size:
+        systematic_resample(particles)
+
+
+@njit(cache=True)
+def particle_run(particles, samples, car, noise, dt, out):
+    """All samples of the particle filter."""
+    for k in range(samples.shape[0]):
+        particle_step(particles, samples[k], car, noise, dt, out[k])
+
+
+@dataclass(frozen=True)
+class RandomWalkPF(KernelFilter):
+    """Random-walk particle filter of one vehicle.
+
+    The paper's particle numbers are 1,000, 10,000 and 30,000. The same seed gives the same estimate bit for bit.
+    """
+
+    noise: ParticleNoise = ParticleNoise()
+    particles: int = 1000
+    seed: int = 0
+
+    step_kernel = staticmethod(particle_step)
+    run_kernel = staticmethod(particle_run)
+
+    def make_state(self) -> Any:
+        """Make the particles before the first sample."""
+        n = self.particles
+        return Particles(
+            x=np.zeros((6, n)),
+            log_weights=np.zeros(n),
+            weights=np.full(n, 1.0 / n),
+            scratch=np.empty((6, n)),
+            running=np.zeros(1, dtype=np.int64),
+            ekf=gaussian(),
+            ekf_out=np.empty(3),
+            rng=np.random.Generator(np.random.SFC64(self.seed)),
+        )

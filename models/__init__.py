@@ -1,0 +1,1 @@
+"""Equations of vehicle motion and of tyres, shared by every filter and the simulation."""

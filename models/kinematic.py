@@ -1,0 +1,69 @@
+"""Kinematic model of the planar motion (Atheupe 2023, eq. 18 to 21, with the errata: ax = vx_dot - r vy)."""
+
+from __future__ import annotations
+
+import math
+
+from numba import njit
+
+
+@njit(cache=True)
+def velocity_rates(vx, vy, yaw_rate, ax, ay):
+    """Rates of the velocity in the turning frame of the car.
+
+    Parameters
+    ----------
+    vx, vy : float [m/s]
+    yaw_rate : float [rad/s]
+    ax, ay : float [m/s^2]
+        Acceleration of the centre of gravity, without gravity.
+
+    Returns
+    -------
+    vx_dot, vy_dot : float [m/s^2]
+    """
+    return ax + yaw_rate * vy, ay - yaw_rate * vx
+
+
+@njit(cache=True)
+def rotation(yaw_rate, dt):
+    """Exact transition of the velocity over one step: the frame turns by yaw_rate dt under it.
+
+    Returns
+    -------
+    f11, f12, f21, f22 : float
+        Elements of the transition matrix for the state [vx, vy].
+    """
+    angle = yaw_rate * dt
+    cosine, sine = math.cos(angle), math.sin(angle)
+    return cosine, sine, -sine, cosine
+
+
+@njit(cache=True)
+def input_gain(yaw_rate, dt):
+    """Exact gain from an acceleration held over one step to the velocity at its end.
+
+    Returns
+    -------
+    g11, g12, g21, g22 : float [s]
+        Integral of the transition over the step.
+    """
+    angle = yaw_rate * dt
+    if abs(angle) < 1e-4:  # series: sin(a)/a and (1 - cos(a))/a lose their digits near zero
+        along, across = dt * (1.0 - angle * angle / 6.0), 0.5 * dt * angle
+    else:
+        along, across = dt * math.sin(angle) / angle, dt * (1.0 - math.cos(angle)) / angle
+    return along, across, -across, along
+
+
+@njit(cache=True)
+def slip_of_rolling_rear(steer, steer_rear, cg_to_front_axle, cg_to_rear_axle):
+    """Sideslip angle of a car that rolls without tyre slip, from the steering alone [rad].
+
+    Both axles move along their wheels, so tan(beta) is the mean of tan(steer) weighted by the lever arms. The
+    answer at walking speed, where tyre slip is small and dynamic models are stiff.
+    """
+    wheelbase = cg_to_front_axle + cg_to_rear_axle
+    return math.atan(
+        (cg_to_rear_axle * math.tan(steer) + cg_to_front_axle * math.tan(steer_rear)) / wheelbase
+    )

@@ -1,0 +1,159 @@
+"""The vehicle file: every parameter of a car that the models need, checked."""
+
+from __future__ import annotations
+
+import tomllib
+from importlib import resources
+from pathlib import Path
+from typing import Literal
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from crosscomb.errors import UsageError
+
+Positive = Field(gt=0.0, allow_inf_nan=False)
+
+
+class _Table(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+class Tyre(_Table):
+    """Tyre law and the shape of its curve; the stiffness and friction stand in the vehicle itself.
+
+    `shape` and `curvature` are C and E of the Magic Formula (Pacejka 2012, eq. 4.49).
+    """
+
+    model: Literal["linear", "dugoff", "pacejka"] = "dugoff"
+    shape: float = Field(default=1.4, gt=1.0, lt=2.0)
+    curvature: float = Field(default=-0.2, le=1.0, ge=-10.0)
+    relaxation_length: float = Field(default=0.45, gt=0.05, le=3.0, description="lateral [m]")
+    load_sensitivity: float = Field(default=0.1, ge=0.0, le=0.4, description="friction lost per static load added")
+
+
+class Plant(_Table):
+    """What only the simulation needs."""
+
+    drive: Literal["front", "rear", "all"] = "front"
+    drag_area: float = Field(default=0.65, ge=0.0, description="drag coefficient times area [m^2]")
+    wheel_inertia: float = Field(default=1.2, gt=0.0, description="spin inertia of one wheel [kg m^2]")
+    brake_share_front: float = Field(default=0.65, gt=0.0, lt=1.0)
+    roll_share_front: float = Field(default=0.55, gt=0.0, lt=1.0, description="of the roll stiffness")
+    power: float = Field(default=90e3, gt=0.0, description="largest drive power [W]")
+    max_steer: float = Field(default=0.6, gt=0.0, lt=1.2, description="road-wheel angle [rad]")
+    steer_lag: float = Field(default=0.05, ge=0.005, lt=1.0, description="hand wheel to road wheel [s]")
+    pitch_gradient: float = Field(default=0.003, ge=0.0, lt=0.1, description="[rad per m/s^2]")
+    body_frequency: float = Field(default=1.6, ge=0.3, le=8.0, description="of roll and pitch [Hz]")
+    body_damping: float = Field(default=0.4, ge=0.1, le=2.0, description="damping ratio of roll and pitch")
+    anti_lock: bool = Field(default=True, description="brakes let go of a wheel that slips too much")
+    differential_lock: float = Field(default=20.0, ge=0.0, le=150.0, description="per driven axle [N m s/rad]")
+
+
+class Vehicle(_Table):
+    """One car in SI units, as read from a vehicle file (TOML)."""
+
+    name: str = Field(min_length=1)
+    mass: float = Positive
+    yaw_inertia: float = Positive
+    cg_to_front_axle: float = Positive
+    cg_to_rear_axle: float = Positive
+    cg_height: float = Positive
+    track_front: float = Positive
+    track_rear: float = Positive
+    wheel_radius: float = Positive
+    steering_ratio: float = Positive
+    cornering_stiffness_front: float = Positive
+    cornering_stiffness_rear: float = Positive
+    friction: float = Field(default=0.9, gt=0.0, le=3.0)
+    roll_gradient: float = Field(default=0.0, ge=0.0, lt=0.1, description="[rad per m/s^2]")
+    tyre: Tyre = Tyre()
+    plant: Plant = Plant()
+
+    @model_validator(mode="after")
+    def _plausible(self) -> Vehicle:
+        # Wrong units (mm, t, N/deg) are the usual mistake; no road vehicle is outside these bounds.
+        bounds = {
+            "mass": (50.0, 60_000.0),
+            "yaw_inertia": (10.0, 1e6),
+            "cg_to_front_axle": (0.2, 8.0),
+            "cg_to_rear_axle": (0.2, 8.0),
+            "cg_height": (0.05, 3.0),
+            "track_front": (0.5, 3.0),
+            "track_rear": (0.5, 3.0),
+            "wheel_radius": (0.08, 0.8),
+            "steering_ratio": (0.5, 40.0),
+            "cornering_stiffness_front": (3e3, 3e6),
+            "cornering_stiffness_rear": (3e3, 3e6),
+        }
+        for key, (low, high) in bounds.items():
+            value = getattr(self, key)
+            if not low <= value <= high:
+                raise ValueError(f"{key}: {value:g} is outside {low:g} to {high:g} (SI units; stiffness per axle)")
+        return self
+
+    @property
+    def wheelbase(self) -> float:
+        """Distance between the axles [m]."""
+        return self.cg_to_front_axle + self.cg_to_rear_axle
+
+
+def load_vehicle(path: str | Path) -> Vehicle:
+    """Read and check a vehicle file.
+
+    Parameters
+    ----------
+    path : str or Path
+        A TOML file, or the name of a shipped vehicle such as ``generic_compact``.
+
+    Raises
+    ------
+    UsageError
+        The file is missing or no TOML, a key is unknown or missing, or a value is out of range.
+    """
+    path = Path(path)
+    if path.suffix == "" and not path.exists():
+        return _load_shipped(str(path))
+    try:
+        text = path.read_text(encoding="utf-8")
+    except FileNotFoundError:
+        raise UsageError(f"{path}: no such vehicle file: write one with `crosscomb vehicle`") from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise UsageError(f"{path}: cannot be read as a vehicle file ({error.__class__.__name__})") from None
+    return parse_vehicle(text, str(path))
+
+
+def parse_vehicle(text: str, source: str) -> Vehicle:
+    """Make a vehicle from the text of a vehicle file; `source` names it in messages."""
+    try:
+        return Vehicle(**tomllib.loads(text))
+    except tomllib.TOMLDecodeError as error:
+        raise UsageError(f"{source}: no valid TOML: {error}") from None
+    except ValidationError as error:
+        raise UsageError(f"{source}: {describe(error)}") from None
+
+
+def describe(error: ValidationError) -> str:
+    """Say the first fault of a checked file in one line."""
+    first = error.errors()[0]
+    key = ".".join(str(part) for part in first["loc"])
+    if first["type"] == "extra_forbidden":
+        return f"unknown key {key}: delete it or correct its spelling"
+    if first["type"] == "missing":
+        return f"key {key} is missing: add it"
+    message = first["msg"].removeprefix("Value error, ")
+    return f"{key}: {message} (found {first['input']!r})" if key else message
+
+
+def shipped_vehicles() -> list[str]:
+    """Names of the vehicle files that come with the package."""
+    folder = resources.files("crosscomb") / "data" / "vehicles"
+    return sorted(entry.name.removesuffix(".toml") for entry in folder.iterdir() if entry.name.endswith(".toml"))
+
+
+def _load_shipped(name: str) -> Vehicle:
+    if name not in shipped_vehicles():
+        raise UsageError(
+            f"{name}: no such vehicle file, and no shipped vehicle of that name: take one of {', '.join(shipped_vehicles())}"
+        )
+    entry = resources.files("crosscomb") / "data" / "vehicles" / f"{name}.toml"
+    return parse_vehicle(entry.read_text(encoding="utf-8"), name)

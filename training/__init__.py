@@ -1,0 +1,1 @@
+"""Everything that needs ground truth: simulated data sets, labels, folds, fitting and metrics."""

@@ -1,0 +1,103 @@
+"""Training windows: features, the filter with the lowest windowed RMSE, and what a wrong choice costs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from crosscomb.estimate import FilterRun
+from crosscomb.training.metrics import countable
+from crosscomb.windows import WindowSettings
+
+
+@dataclass(frozen=True)
+class Windows:
+    """Labelled windows of one or several recordings.
+
+    Attributes
+    ----------
+    features : (w, f) float32
+    rmse : (w, filters) [rad]
+        RMSE of each filter in each window.
+    group : (w,) int
+        Recording that a window comes from: folds keep recordings whole.
+    """
+
+    features: np.ndarray
+    rmse: np.ndarray
+    group: np.ndarray
+
+    @property
+    def label(self) -> np.ndarray:
+        """Filter with the lowest RMSE in each window ``(w,)`` (Atheupe 2023, eq. 33)."""
+        return np.argmin(self.rmse, axis=1)
+
+    @property
+    def regret_weight(self) -> np.ndarray:
+        """What choosing blindly costs in each window ``(w,)``: a tie weighs nothing, a landslide much.
+
+        The mean squared error of a filter drawn at random less that of the best, as RMSE is what is reported;
+        scaled to a mean of one.
+        """
+        squared = self.rmse**2
+        cost = squared.mean(axis=1) - squared.min(axis=1)
+        mean = cost.mean()
+        return cost / mean if mean > 0.0 else np.ones_like(cost)
+
+    def take(self, rows: np.ndarray) -> Windows:
+        """Keep the windows ``rows`` only."""
+        return Windows(self.features[rows], self.rmse[rows], self.group[rows])
+
+
+def window_ends(beta_ref: np.ndarray, vx: np.ndarray, settings: WindowSettings) -> np.ndarray:
+    """Last sample of each window in which every sample counts, ``hop`` samples apart."""
+    counted = countable(beta_ref, vx)
+    ends = np.arange(settings.length - 1, len(counted), settings.hop)
+    full = np.lib.stride_tricks.sliding_window_view(counted, settings.length).all(axis=1)
+    return ends[full[ends - settings.length + 1]]
+
+
+def label_run(run: FilterRun, group: int, settings: WindowSettings) -> Windows:
+    """Cut and label the windows of one segment.
+
+    Parameters
+    ----------
+    run : FilterRun
+    group : int
+        Number of the recording.
+    settings : WindowSettings
+    """
+    signals = run.segment.signals
+    beta_ref = signals.beta_ref
+    if len(signals) < settings.length:
+        ends = np.empty(0, dtype=np.int64)
+    else:
+        ends = window_ends(beta_ref, signals.column("vx"), settings)
+    squared = (run.beta - beta_ref[:, None]) ** 2
+    members = ends[:, None] - np.arange(settings.length)[None, :]
+    rmse = np.sqrt(squared[members].mean(axis=1))
+    return Windows(run.features[ends], rmse, np.full(len(ends), group))
+
+
+def concatenate(parts: list[Windows]) -> Windows:
+    """Put the windows of several segments into one table."""
+    return Windows(
+        np.concatenate([part.features for part in parts]),
+        np.concatenate([part.rmse for part in parts]),
+        np.concatenate([part.group for part in parts]),
+    )
+
+
+def oracle_beta(run: FilterRun, length: int) -> np.ndarray:
+    """Estimate of a selector that knows the truth: the best filter of each window ``(n,) [rad]``.
+
+    The log is cut into windows of `length` samples side by side; the bound for what switching at the pace of
+    windows can reach.
+    """
+    squared = (run.beta - run.segment.signals.beta_ref[:, None]) ** 2
+    squared = np.where(np.isfinite(squared), squared, 0.0)
+    starts = np.arange(0, len(squared), length)
+    best = np.argmin(np.add.reduceat(squared, starts, axis=0), axis=1)
+    active = np.repeat(best, length)[: len(squared)]
+    return run.beta[np.arange(len(squared)), active]
