@@ -16,6 +16,7 @@ from crosscomb.files import write_file
 from crosscomb.filters.base import KernelFilter, make_inputs
 from crosscomb.filters.catalogue import make_filter
 from crosscomb.models.vehicle import Vehicle, load_vehicle
+from crosscomb.plausibility import check_units
 from crosscomb.prepare import complete
 from crosscomb.resample import Segment, resample, rows_to_grid
 from crosscomb.signals import MIN_SPEED, Signals
@@ -236,6 +237,20 @@ def require_road_wheel_angle(signals: Signals, origin: str) -> None:
             f"{signals.source}: column steer is missing and steer_wheel needs the car's steering ratio: "
             f"give --vehicle, or map steer with scale = 1 / ratio (--map)"
         )
+
+
+def require_plausible(signals: Signals, vehicle: Vehicle) -> list[str]:
+    """Refuse a log whose units or signs are plainly wrong; give the warnings about what merely looks odd.
+
+    Raises
+    ------
+    UsageError
+    """
+    findings = check_units(signals, vehicle)
+    for finding in findings:
+        if finding.severity == "error":
+            raise UsageError(f"{signals.source}: column {finding.column}: {finding.message}")
+    return [f"{signals.source}: column {finding.column}: {finding.message}" for finding in findings]
 
 
 def write_estimate(estimate: LogEstimate, path: Path) -> None:

@@ -17,10 +17,10 @@ from crosscomb.models.single_track import SingleTrack, single_track
 from crosscomb.models.vehicle import Vehicle
 from crosscomb.signals import GRAVITY, MIN_SPEED, TORQUES, Signals
 
-VX, AX, AY, YAW_RATE, STEER, STEER_REAR, FXF, FXR = range(8)
+VX, AX, AY, YAW_RATE, STEER, STEER_REAR, FXF, FXR, VX_HELD, STEER_HELD = range(10)
 """Columns of a sample: what kernels read."""
 
-SAMPLE_WIDTH = 8
+SAMPLE_WIDTH = 10
 
 BETA, BETA_STD, NIS = range(3)
 """Columns of an estimate: what kernels write."""
@@ -40,9 +40,10 @@ class Inputs:
     ----------
     dt : float
         Time from sample to sample [s].
-    samples : (n, 8) float64
+    samples : (n, 10) float64
         Columns vx [m/s], ax, ay [m/s^2] without roll gravity, yaw_rate [rad/s], steer, steer_rear [rad],
-        fxf, fxr [N]. vx, steer and the forces are always finite; NaN elsewhere means "no measurement".
+        fxf, fxr [N], and 1 where vx and where steer is held over a missing sample, else 0. NaN means "no
+        measurement" in ax, ay and yaw_rate; the others are always finite.
     """
 
     dt: float
@@ -108,7 +109,7 @@ class KernelFilter:
         Parameters
         ----------
         started : Started
-        sample : (8,)
+        sample : (10,)
             Columns as in `Inputs`.
 
         Returns
@@ -223,6 +224,8 @@ def make_inputs(signals: Signals, vehicle: Vehicle, dt: float) -> Inputs:
     samples[:, STEER] = hold(signals.column("steer"))
     samples[:, STEER_REAR] = hold(signals.column("steer_rear"))
     samples[:, FXF], samples[:, FXR] = longitudinal_forces(signals, vehicle)
+    samples[:, VX_HELD] = ~np.isfinite(signals.column("vx"))
+    samples[:, STEER_HELD] = ~np.isfinite(signals.column("steer"))
     return Inputs(dt=dt, samples=samples)
 
 

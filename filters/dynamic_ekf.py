@@ -24,9 +24,9 @@ class DynamicNoise(NamedTuple):
     """Noise settings of the dynamic filter; process densities, so that they hold at every rate."""
 
     yaw_acceleration: float = 0.6  # model error [rad/s^2 per sqrt(Hz)]
-    slip_rate: float = 0.08  # model error [rad/s per sqrt(Hz)]
+    slip_rate: float = 0.04  # model error [rad/s per sqrt(Hz)]
     yaw_rate: float = 0.02  # measured yaw rate [rad/s]
-    ay: float = 1.0  # measured ay, with what the tyre law gets wrong [m/s^2]
+    ay: float = 2.0  # measured ay, with what the tyre law gets wrong [m/s^2]
 
 
 @njit(cache=True)

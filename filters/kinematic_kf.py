@@ -14,7 +14,7 @@ from typing import NamedTuple
 from numba import njit
 
 from crosscomb.filters.base import (
-    AX, AY, BETA, BETA_STD, NIS, VX, YAW_RATE,
+    AX, AY, BETA, BETA_STD, NIS, VX, VX_HELD, YAW_RATE,
     KernelFilter, below_gate, low_speed_answer, propagate, scalar_update,
 )  # fmt: skip
 from crosscomb.models.kinematic import input_gain, rotation
@@ -24,8 +24,8 @@ class KinematicNoise(NamedTuple):
     """Noise settings of the kinematic filter; densities, so that they hold at every rate."""
 
     accel: float = 0.5  # accelerometer error, bank and slope included [m/s^2 per sqrt(Hz)]
-    speed: float = 0.1  # measured vx [m/s]
-    relaxation: float = 0.1  # rate at which vy forgets in unobservable driving [1/s]
+    speed: float = 0.3  # measured vx [m/s]
+    relaxation: float = 0.3  # rate at which vy forgets in unobservable driving [1/s]
     missing_accel: float = 3.0  # accelerometer error while a channel is missing [m/s^2 per sqrt(Hz)]
 
 
@@ -63,7 +63,9 @@ def kinematic_step(state, sample, car, noise, dt, out):
         state.running[0] = 1
         return
     kinematic_predict(state, sample[AX], sample[AY], sample[YAW_RATE], noise, dt)
-    out[NIS] = scalar_update(state, 1.0, 0.0, vx - mean[0], noise.speed**2)
+    out[NIS] = math.nan
+    if sample[VX_HELD] == 0.0:
+        out[NIS] = scalar_update(state, 1.0, 0.0, vx - mean[0], noise.speed**2)
     speed2 = mean[0] * mean[0] + mean[1] * mean[1]
     out[BETA] = math.atan2(mean[1], mean[0])
     # beta = atan2(vy, vx): its gradient is [-vy, vx] / V^2

@@ -79,7 +79,10 @@ class PlantParameters(NamedTuple):
 
 
 def make_plant(
-    vehicle: Vehicle, mass_factor: float = 1.0, front_stiffness_factor: float = 1.0, rear_stiffness_factor: float = 1.0
+    vehicle: Vehicle,
+    mass_factor: float = 1.0,
+    front_stiffness_factor: float = 1.0,
+    rear_stiffness_factor: float = 1.0,
 ) -> PlantParameters:
     """Make the kernels' parameters from a vehicle.
 
@@ -237,7 +240,10 @@ def _wheel_torques(x, u, load_fl, load_fr, load_rl, load_rr, p, dx):
     lock_front = p.differential_lock * (x[SPIN] - x[SPIN + 1]) if p.share_front > 0.0 else 0.0
     lock_rear = p.differential_lock * (x[SPIN + 2] - x[SPIN + 3]) if p.share_front < 1.0 else 0.0
     roll = ROLLING_RESISTANCE * p.wheel_radius
-    brake_front, brake_rear = 0.5 * p.brake_share_front * u[BRAKE], 0.5 * (1.0 - p.brake_share_front) * u[BRAKE]
+    brake_front, brake_rear = (
+        0.5 * p.brake_share_front * u[BRAKE],
+        0.5 * (1.0 - p.brake_share_front) * u[BRAKE],
+    )
     hand = 0.5 * u[HANDBRAKE]
     dx[SPIN] += (front - lock_front) / p.wheel_inertia - _held(0, x, brake_front, roll * load_fl, p)
     dx[SPIN + 1] += (front + lock_front) / p.wheel_inertia - _held(1, x, brake_front, roll * load_fr, p)

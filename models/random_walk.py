@@ -51,7 +51,7 @@ def random_walk_jacobian(state, vx, steer, steer_rear, car, jacobian):
     """
     cos_f, sin_f = math.cos(steer), math.sin(steer)
     cos_r, sin_r = math.cos(steer_rear), math.sin(steer_rear)
-    beta = state[1]
+    cos_b, sin_b = math.cos(state[1]), math.sin(state[1])
     # A longitudinal force is a lateral one turned by -90 deg: (cos, sin) becomes (sin, -cos).
     longitudinal = (sin_f, -cos_f, sin_r, -cos_r)
     lateral = (cos_f, sin_f, cos_r, sin_r)
@@ -59,7 +59,7 @@ def random_walk_jacobian(state, vx, steer, steer_rear, car, jacobian):
         cf, sf, cr, sr = longitudinal if column < 4 else lateral
         front = 1.0 if column % 2 == 0 else 0.0
         slopes = body_slopes(
-            front, 1.0 - front, beta, vx, cf, sf, cr, sr, car.mass, car.yaw_inertia, car.a, car.b
+            front, 1.0 - front, vx, cf, sf, cr, sr, cos_b, sin_b, car.mass, car.yaw_inertia, car.a, car.b
         )
         for row in range(4):
             jacobian[row, column] = slopes[row]
@@ -67,4 +67,4 @@ def random_walk_jacobian(state, vx, steer, steer_rear, car, jacobian):
     for row in range(4):
         jacobian[row, 0] = jacobian[row, 1] = 0.0
     jacobian[1, 0] = -1.0
-    jacobian[1, 1] = slip_rate_slope(ax, ay, beta, vx)
+    jacobian[1, 1] = slip_rate_slope(ax, ay, cos_b, sin_b, vx)

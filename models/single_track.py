@@ -130,7 +130,7 @@ def body_rates(
 
 
 @njit(cache=True)
-def body_slopes(dfyf, dfyr, beta, vx, cos_f, sin_f, cos_r, sin_r, mass, yaw_inertia, a, b):
+def body_slopes(dfyf, dfyr, vx, cos_f, sin_f, cos_r, sin_r, cos_b, sin_b, mass, yaw_inertia, a, b):
     """Change of `body_rates` with a state that changes the lateral axle forces by dfyf and dfyr.
 
     Parameters
@@ -141,7 +141,6 @@ def body_slopes(dfyf, dfyr, beta, vx, cos_f, sin_f, cos_r, sin_r, mass, yaw_iner
     -------
     Derivatives of yaw_acceleration, beta_rate, ax, ay; that of beta_rate without what the state does directly.
     """
-    cos_b, sin_b = math.cos(beta), math.sin(beta)
     d_ax = -(dfyf * sin_f + dfyr * sin_r) / mass
     d_ay = (dfyf * cos_f + dfyr * cos_r) / mass
     d_yaw = (a * dfyf * cos_f - b * dfyr * cos_r) / yaw_inertia
@@ -149,9 +148,9 @@ def body_slopes(dfyf, dfyr, beta, vx, cos_f, sin_f, cos_r, sin_r, mass, yaw_iner
 
 
 @njit(cache=True)
-def slip_rate_slope(ax, ay, beta, vx):
+def slip_rate_slope(ax, ay, cos_b, sin_b, vx):
     """Derivative of beta_rate by beta at constant forces [1/s]."""
-    return -(ay * math.sin(2.0 * beta) + ax * math.cos(2.0 * beta)) / vx
+    return -(2.0 * ay * sin_b * cos_b + ax * (cos_b * cos_b - sin_b * sin_b)) / vx
 
 
 @njit(cache=True)
@@ -198,20 +197,21 @@ def single_track_rates(yaw_rate, beta, vx, steer, steer_rear, fxf, fxr, ax_load,
     )
     cos_f, sin_f = math.cos(steer), math.sin(steer)
     cos_r, sin_r = math.cos(steer_rear), math.sin(steer_rear)
+    cos_b, sin_b = math.cos(beta), math.sin(beta)
     yaw_acceleration, beta_rate, ax, ay = body_rates(
         fxf, fxr, fyf, fyr, vx, yaw_rate, cos_f, sin_f, cos_r, sin_r,
-        math.cos(beta), math.sin(beta), car.mass, car.yaw_inertia, car.a, car.b,
+        cos_b, sin_b, car.mass, car.yaw_inertia, car.a, car.b,
     )  # fmt: skip
     yaw_r, slip_r, ax_r, ay_r = body_slopes(
-        slope_f * af_r, slope_r * ar_r, beta, vx, cos_f, sin_f, cos_r, sin_r,
+        slope_f * af_r, slope_r * ar_r, vx, cos_f, sin_f, cos_r, sin_r, cos_b, sin_b,
         car.mass, car.yaw_inertia, car.a, car.b,
     )  # fmt: skip
     yaw_b, slip_b, ax_b, ay_b = body_slopes(
-        slope_f * af_b, slope_r * ar_b, beta, vx, cos_f, sin_f, cos_r, sin_r,
+        slope_f * af_b, slope_r * ar_b, vx, cos_f, sin_f, cos_r, sin_r, cos_b, sin_b,
         car.mass, car.yaw_inertia, car.a, car.b,
     )  # fmt: skip
     slip_r -= 1.0
-    slip_b += slip_rate_slope(ax, ay, beta, vx)
+    slip_b += slip_rate_slope(ax, ay, cos_b, sin_b, vx)
     return (
         (yaw_acceleration, beta_rate),
         (ax, ay),

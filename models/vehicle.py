@@ -28,7 +28,9 @@ class Tyre(_Table):
     shape: float = Field(default=1.4, gt=1.0, lt=2.0)
     curvature: float = Field(default=-0.2, le=1.0, ge=-10.0)
     relaxation_length: float = Field(default=0.45, gt=0.05, le=3.0, description="lateral [m]")
-    load_sensitivity: float = Field(default=0.1, ge=0.0, le=0.4, description="friction lost per static load added")
+    load_sensitivity: float = Field(
+        default=0.1, ge=0.0, le=0.4, description="friction lost per static load added"
+    )
 
 
 class Plant(_Table):
@@ -46,7 +48,7 @@ class Plant(_Table):
     body_frequency: float = Field(default=1.6, ge=0.3, le=8.0, description="of roll and pitch [Hz]")
     body_damping: float = Field(default=0.4, ge=0.1, le=2.0, description="damping ratio of roll and pitch")
     anti_lock: bool = Field(default=True, description="brakes let go of a wheel that slips too much")
-    differential_lock: float = Field(default=20.0, ge=0.0, le=150.0, description="per driven axle [N m s/rad]")
+    differential_lock: float = Field(default=5.0, ge=0.0, le=150.0, description="per driven axle [N m s/rad]")
 
 
 class Vehicle(_Table):
@@ -88,7 +90,9 @@ class Vehicle(_Table):
         for key, (low, high) in bounds.items():
             value = getattr(self, key)
             if not low <= value <= high:
-                raise ValueError(f"{key}: {value:g} is outside {low:g} to {high:g} (SI units; stiffness per axle)")
+                raise ValueError(
+                    f"{key}: {value:g} is outside {low:g} to {high:g} (SI units; stiffness per axle)"
+                )
         return self
 
     @property
@@ -147,7 +151,9 @@ def describe(error: ValidationError) -> str:
 def shipped_vehicles() -> list[str]:
     """Names of the vehicle files that come with the package."""
     folder = resources.files("crosscomb") / "data" / "vehicles"
-    return sorted(entry.name.removesuffix(".toml") for entry in folder.iterdir() if entry.name.endswith(".toml"))
+    return sorted(
+        entry.name.removesuffix(".toml") for entry in folder.iterdir() if entry.name.endswith(".toml")
+    )
 
 
 def _load_shipped(name: str) -> Vehicle:

@@ -1,7 +1,7 @@
 """A vehicle file from the three numbers everybody knows, with a stated estimate for everything else.
 
-The rules are plain proportions. Their constants are read off the shipped real cars; the spread among these, told
-in each line, is what an estimate is worth. A known value always beats the rule.
+The rules are plain proportions. Their constants are read off the shipped real cars. The spread among these
+stands in each line: it is what an estimate is worth. A known value always beats the rule.
 """
 
 from __future__ import annotations

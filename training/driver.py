@@ -141,13 +141,21 @@ def _steer(x, ay, row, curvature, p):
 
 
 @njit(cache=True)
+def _lift(x, p):
+    """Share of the drive the driver keeps when driven wheels race: all below 3 m/s of spin, none above 8."""
+    front, rear = x[SPIN] + x[SPIN + 1], x[SPIN + 2] + x[SPIN + 3]
+    rim = 0.5 * p.wheel_radius * (p.share_front * front + (1.0 - p.share_front) * rear)
+    return min(max((8.0 - (rim - abs(x[VX]))) / 5.0, 0.0), 1.0)
+
+
+@njit(cache=True)
 def _pedals(x, ay, row, target, d, p, u):
     """Write drive and brake torques: hold the target speed within the driver's limits and the grip."""
     weight = p.mass * GRAVITY * p.wheel_radius
     grip = row[SURFACE]
     u[HANDBRAKE] = row[EXTRA_HANDBRAKE] * 2.0 * p.tyre_rear.load * p.wheel_radius
     u[BRAKE] = row[EXTRA_BRAKE] * weight
-    u[DRIVE_COMMAND] = row[EXTRA_DRIVE] * weight
+    u[DRIVE_COMMAND] = row[EXTRA_DRIVE] * weight * _lift(x, p)
     if not np.isfinite(target):
         return
     wish = 2.5 * (target - x[VX])
@@ -159,21 +167,21 @@ def _pedals(x, ay, row, target, d, p, u):
     limit = min(d.acceleration, 0.7 * room * grip * driven / p.mass)
     resistance = (p.drag * x[VX] * x[VX]) / p.mass + 0.12
     if wish > -0.3:
-        u[DRIVE_COMMAND] += max(min(wish, limit) + resistance, 0.0) * p.mass * p.wheel_radius
+        u[DRIVE_COMMAND] += max(min(wish, limit) * _lift(x, p) + resistance, 0.0) * p.mass * p.wheel_radius
     else:
         u[BRAKE] += min(-wish, min(d.deceleration, 0.85 * room * grip * GRAVITY)) * p.mass * p.wheel_radius
 
 
 @njit(cache=True)
 def _drift_pedals(x, ay, row, d, p, u):
-    """Write the torques that hold the rear wheels sliding: by drive, or by handbrake if only the front drives."""
+    """Write the torques that hold the rear wheels sliding: by drive, or by handbrake."""
     beta = atan2(x[VY], x[VX])
     grip = row[SURFACE] * 2.0 * p.tyre_rear.load * p.wheel_radius
     spin = 0.5 * (x[SPIN + 2] + x[SPIN + 3]) * p.wheel_radius
     slip = spin / max(x[VX], 1.0) - 1.0
     side = 1.0 if row[SLIDE] > 0.0 else -1.0
     rate = ay / max(hypot(x[VX], x[VY]), 3.0) - x[YAW_RATE]
-    wanted = d.wheel_spin * abs(row[SLIDE]) + side * (0.6 * (row[SLIDE] - beta) - 0.5 * rate)
+    wanted = d.wheel_spin * abs(row[SLIDE]) + side * (0.5 * (row[SLIDE] - beta) - 0.9 * rate)
     if p.share_front < 1.0:
         wanted -= min(max(0.03 * (x[VX] - row[SPEED]), -0.1), 0.1)
     wanted = min(max(wanted, 0.0), 0.8)
@@ -209,7 +217,7 @@ def run_manoeuvre(x, schedule, path, d, p, dt, record):
     """
     work = np.zeros((4, STATES))
     u = np.zeros(INPUTS)
-    substeps = int(round(CONTROL_PERIOD / dt))
+    substeps = round(CONTROL_PERIOD / dt)
     near, spun, ay = 0, False, 0.0
     for k in range(schedule.shape[0]):
         row = schedule[k]

@@ -20,13 +20,10 @@ class Windows:
     features : (w, f) float32
     rmse : (w, filters) [rad]
         RMSE of each filter in each window.
-    group : (w,) int
-        Recording that a window comes from: folds keep recordings whole.
     """
 
     features: np.ndarray
     rmse: np.ndarray
-    group: np.ndarray
 
     @property
     def label(self) -> np.ndarray:
@@ -34,20 +31,16 @@ class Windows:
         return np.argmin(self.rmse, axis=1)
 
     @property
-    def regret_weight(self) -> np.ndarray:
-        """What choosing blindly costs in each window ``(w,)``: a tie weighs nothing, a landslide much.
+    def saved(self) -> np.ndarray:
+        """Squared error that each filter saves over the worst one in each window ``(w, filters) [rad^2]``.
 
-        The mean squared error of a filter drawn at random less that of the best, as RMSE is what is reported;
-        scaled to a mean of one.
+        Squared, as the RMSE of a recording is what is reported. The mean over all windows is one, so that the
+        tree's own thresholds on weight work.
         """
         squared = self.rmse**2
-        cost = squared.mean(axis=1) - squared.min(axis=1)
-        mean = cost.mean()
-        return cost / mean if mean > 0.0 else np.ones_like(cost)
-
-    def take(self, rows: np.ndarray) -> Windows:
-        """Keep the windows ``rows`` only."""
-        return Windows(self.features[rows], self.rmse[rows], self.group[rows])
+        saved = squared.max(axis=1, keepdims=True) - squared
+        mean = saved.mean()
+        return saved / mean if mean > 0.0 else np.ones_like(saved)
 
 
 def window_ends(beta_ref: np.ndarray, vx: np.ndarray, settings: WindowSettings) -> np.ndarray:
@@ -58,14 +51,12 @@ def window_ends(beta_ref: np.ndarray, vx: np.ndarray, settings: WindowSettings) 
     return ends[full[ends - settings.length + 1]]
 
 
-def label_run(run: FilterRun, group: int, settings: WindowSettings) -> Windows:
+def label_run(run: FilterRun, settings: WindowSettings) -> Windows:
     """Cut and label the windows of one segment.
 
     Parameters
     ----------
     run : FilterRun
-    group : int
-        Number of the recording.
     settings : WindowSettings
     """
     signals = run.segment.signals
@@ -77,7 +68,7 @@ def label_run(run: FilterRun, group: int, settings: WindowSettings) -> Windows:
     squared = (run.beta - beta_ref[:, None]) ** 2
     members = ends[:, None] - np.arange(settings.length)[None, :]
     rmse = np.sqrt(squared[members].mean(axis=1))
-    return Windows(run.features[ends], rmse, np.full(len(ends), group))
+    return Windows(run.features[ends], rmse)
 
 
 def concatenate(parts: list[Windows]) -> Windows:
@@ -85,7 +76,6 @@ def concatenate(parts: list[Windows]) -> Windows:
     return Windows(
         np.concatenate([part.features for part in parts]),
         np.concatenate([part.rmse for part in parts]),
-        np.concatenate([part.group for part in parts]),
     )
 
 

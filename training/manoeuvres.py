@@ -1,16 +1,12 @@
-"""The catalogue of manoeuvres: each makes a plan for the driver from a vehicle, a surface and chance."""
+"""The catalogue of manoeuvres: each makes a plan for the driver from a scene."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 
-from crosscomb.models.plant import PlantParameters
-from crosscomb.signals import GRAVITY
 from crosscomb.training.driver import (
-    COLUMNS,
     CONTROL_PERIOD,
     DRIFT,
     EXTRA_BRAKE,
@@ -18,97 +14,21 @@ from crosscomb.training.driver import (
     EXTRA_HANDBRAKE,
     FOLLOW_PATH,
     MODE,
-    OPEN_LOOP,
     PROFILE,
     SLIDE,
     SPEED,
     STRAIGHTEN,
-    SURFACE,
-    critical_speed,
-    understeer,
 )
-
-TOP_SPEED = 36.0
-NO_PATH = np.zeros((1, 3))
-
-
-@dataclass
-class Plan:
-    """What the driver is to do: start speed [m/s], schedule ``(n, COLUMNS)``, path ``(m, 3)``."""
-
-    speed: float
-    schedule: np.ndarray
-    path: np.ndarray
-
-
-@dataclass(frozen=True)
-class Scene:
-    """What a manoeuvre is planned for: car, friction over time ``(n,)``, and the source of chance."""
-
-    plant: PlantParameters
-    friction: np.ndarray
-    rng: np.random.Generator
-
-    @property
-    def t(self) -> np.ndarray:
-        """Time ``(n,) [s]``."""
-        return np.arange(len(self.friction)) * CONTROL_PERIOD
-
-    @property
-    def grip(self) -> float:
-        """Lateral acceleration [m/s^2] that the most slippery part of the road bears."""
-        return float(self.friction.min()) * GRAVITY
-
-    def top_speed(self) -> float:
-        """Speed [m/s] not to be passed: road, friction and, for an oversteering car, stability."""
-        return float(min(TOP_SPEED * min(1.0, 0.45 + 0.6 * self.friction.min()), 0.85 * critical_speed(self.plant)))
-
-    def steer_for(self, ay: float, speed: float) -> float:
-        """Road-wheel angle [rad] that gives a small lateral acceleration [m/s^2] in steady state."""
-        geometric = (self.plant.front + self.plant.rear) / speed**2
-        return float(min(ay * max(geometric + understeer(self.plant), 0.3 * geometric), 0.95 * self.plant.max_steer))
-
-    def plan(self, speed: float, path: np.ndarray = NO_PATH, mode: float = OPEN_LOOP) -> Plan:
-        """A plan that holds a speed [m/s] straight ahead, or along a path."""
-        schedule = np.zeros((len(self.friction), COLUMNS))
-        schedule[:, SPEED] = speed
-        schedule[:, MODE] = mode
-        schedule[:, SURFACE] = self.friction
-        return Plan(speed, schedule, path)
-
-
-def _wander(scene: Scene, size: float, period: float) -> np.ndarray:
-    """Smooth chance ``(n,)`` of standard deviation about `size` that changes over `period` [s]."""
-    knots = np.arange(0.0, scene.t[-1] + 3.0 * period, period)
-    values = scene.rng.normal(0.0, size, len(knots))
-    where = scene.t / period
-    i = where.astype(int)
-    blend = 0.5 - 0.5 * np.cos(np.pi * (where - i))
-    return values[i] * (1.0 - blend) + values[i + 1] * blend
-
-
-def _segments(scene: Scene, low: float, high: float) -> list[slice]:
-    """Cut the time into pieces of `low` to `high` seconds."""
-    cuts, n = [0], len(scene.t)
-    while cuts[-1] < n:
-        cuts.append(cuts[-1] + int(scene.rng.uniform(low, high) / CONTROL_PERIOD))
-    return [slice(a, min(b, n)) for a, b in zip(cuts[:-1], cuts[1:], strict=True)]
-
-
-def _curve_path(curvature: np.ndarray, speed: np.ndarray) -> np.ndarray:
-    """Path ``(m, 3)`` from the curvature [1/m] and speed [m/s] at every metre."""
-    heading = np.concatenate(([0.0], np.cumsum(curvature)[:-1]))
-    return np.column_stack((np.cumsum(np.cos(heading)), np.cumsum(np.sin(heading)), speed))
-
-
-def _speed_profile(curvature: np.ndarray, ay: float, top: float, pull: float, brake: float) -> np.ndarray:
-    """Fastest speed [m/s] at every metre under limits of lateral and longitudinal acceleration [m/s^2]."""
-    squared = np.minimum(ay / np.maximum(np.abs(curvature), 1e-6), top**2)
-    for i in range(len(squared) - 2, -1, -1):
-        squared[i] = min(squared[i], squared[i + 1] + 2.0 * brake)
-    for i in range(1, len(squared)):
-        squared[i] = min(squared[i], squared[i - 1] + 2.0 * pull)
-    return np.sqrt(squared)
+from crosscomb.training.scene import (
+    TOP_SPEED,
+    Plan,
+    Scene,
+    curve_path,
+    segments,
+    smooth,
+    speed_profile,
+    wander,
+)
 
 
 def _road(scene: Scene, ay: float, tightest: float) -> Plan:
@@ -125,8 +45,8 @@ def _road(scene: Scene, ay: float, tightest: float) -> Plan:
         ramp = np.minimum(1.0, np.minimum(np.arange(run), np.arange(run)[::-1]) / max(0.3 * run, 1.0))
         curvature[at : at + run] = (bend * ramp)[: max(length - at, 0)]
         at += run + int(scene.rng.exponential(20.0))
-    speed = _speed_profile(curvature, ay, top, min(2.5, 0.4 * scene.grip), min(3.5, 0.5 * scene.grip))
-    plan = scene.plan(top, _curve_path(curvature, speed), FOLLOW_PATH)
+    speed = speed_profile(curvature, ay, top, min(2.5, 0.4 * scene.grip), min(3.5, 0.5 * scene.grip))
+    plan = scene.plan(top, curve_path(curvature, speed), FOLLOW_PATH)
     plan.speed = float(speed[0])
     return plan
 
@@ -146,7 +66,7 @@ def circuit_slide(scene: Scene) -> Plan:
     plan = _road(scene, scene.rng.uniform(0.9, 1.1) * scene.grip, 20.0)
     column = EXTRA_HANDBRAKE if scene.plant.share_front == 1.0 else EXTRA_DRIVE
     size = 1.2 if scene.plant.share_front == 1.0 else 0.7
-    for part in _segments(scene, 2.0, 5.0):
+    for part in segments(scene, 2.0, 5.0):
         burst = slice(part.start, part.start + int(scene.rng.uniform(0.5, 1.4) / CONTROL_PERIOD))
         plan.schedule[burst, column] = size * scene.friction[part.start]
     return plan
@@ -156,19 +76,19 @@ def straight(scene: Scene) -> Plan:
     """Straight driving at changing speed with small corrections of the steering."""
     top = scene.top_speed()
     plan = scene.plan(scene.rng.uniform(0.3, 1.0) * top)
-    for part in _segments(scene, 4.0, 10.0):
+    for part in segments(scene, 4.0, 10.0):
         plan.schedule[part, SPEED] = scene.rng.uniform(0.3, 1.0) * top
-    plan.schedule[:, PROFILE] = _wander(scene, 0.003, 1.0)
+    plan.schedule[:, PROFILE] = wander(scene, 0.003, 1.0)
     return plan
 
 
 def stop_and_go(scene: Scene) -> Plan:
     """From standstill, town turns, and to standstill again."""
     plan = scene.plan(0.0)
-    for i, part in enumerate(_segments(scene, 3.5, 8.0)):
+    for i, part in enumerate(segments(scene, 3.5, 8.0)):
         plan.schedule[part, SPEED] = 0.0 if i % 3 == 0 else scene.rng.uniform(4.0, 14.0)
     limit = scene.steer_for(min(3.0, 0.4 * scene.grip), 8.0)
-    plan.schedule[:, PROFILE] = np.clip(_wander(scene, 0.6 * limit, 2.0), -limit, limit)
+    plan.schedule[:, PROFILE] = np.clip(wander(scene, 0.6 * limit, 2.0), -limit, limit)
     return plan
 
 
@@ -176,7 +96,7 @@ def circle(scene: Scene) -> Plan:
     """Constant radius, speed held in steps below the limit."""
     radius = scene.rng.uniform(12.0, 80.0)
     plan = _circle(scene, radius)
-    for part in _segments(scene, 6.0, 12.0):
+    for part in segments(scene, 6.0, 12.0):
         plan.schedule[part, SPEED] = np.sqrt(scene.rng.uniform(0.1, 0.6) * scene.grip * radius)
     return plan
 
@@ -194,7 +114,7 @@ def circle_speed_rise(scene: Scene) -> Plan:
 def _circle(scene: Scene, radius: float) -> Plan:
     length = int(TOP_SPEED * scene.t[-1]) + 200
     curvature = scene.rng.choice([-1.0, 1.0]) / radius * np.clip((np.arange(length) - 20.0) / 20.0, 0.0, 1.0)
-    plan = scene.plan(0.0, _curve_path(curvature, np.full(length, TOP_SPEED)), FOLLOW_PATH)
+    plan = scene.plan(0.0, curve_path(curvature, np.full(length, TOP_SPEED)), FOLLOW_PATH)
     plan.speed = float(np.sqrt(0.2 * scene.grip * radius))
     return plan
 
@@ -202,7 +122,7 @@ def _circle(scene: Scene, radius: float) -> Plan:
 def _sines(scene: Scene, low: float, high: float, top: float) -> Plan:
     speed = scene.rng.uniform(0.35, 1.0) * scene.top_speed()
     plan = scene.plan(speed)
-    for part in _segments(scene, 8.0, 14.0):
+    for part in segments(scene, 8.0, 14.0):
         frequency = scene.rng.uniform(0.2, top)
         t = np.arange(part.stop - part.start) * CONTROL_PERIOD
         size = scene.steer_for(scene.rng.uniform(low, high) * scene.grip, speed)
@@ -226,7 +146,7 @@ def _event_plan(scene: Scene, low: float, high: float, every: float) -> tuple[Pl
     """Speed in a share of the top speed, and pieces that start with 2.5 s of straightening up."""
     plan = scene.plan(scene.rng.uniform(low, high) * scene.top_speed())
     parts = []
-    for part in _segments(scene, every, every + 2.0):
+    for part in segments(scene, every, every + 2.0):
         calm = min(part.start + 250, part.stop)
         plan.schedule[part.start : calm, MODE] = STRAIGHTEN
         if calm < part.stop:
@@ -238,7 +158,7 @@ def step_steer(scene: Scene) -> Plan:
     """Step steers to either side (ISO 7401), up to past the limit."""
     plan, parts = _event_plan(scene, 0.5, 1.0, 6.0)
     for part in parts:
-        size = scene.rng.choice([-1.0, 1.0]) * scene.steer_for(scene.rng.uniform(0.4, 1.6) * scene.grip, plan.speed)
+        size = scene.throw(0.4, 1.6, plan.speed)
         plan.schedule[part, PROFILE] = size
     return plan
 
@@ -247,7 +167,7 @@ def ramp_steer(scene: Scene) -> Plan:
     """Slowly growing steering past the limit at constant speed."""
     plan, parts = _event_plan(scene, 0.5, 0.9, 13.0)
     for part in parts:
-        size = scene.rng.choice([-1.0, 1.0]) * scene.steer_for(2.0 * scene.grip, plan.speed)
+        size = scene.throw(2.0, 2.0, plan.speed)
         plan.schedule[part, PROFILE] = np.linspace(0.0, size, part.stop - part.start)
     return plan
 
@@ -256,7 +176,7 @@ def sine_with_dwell(scene: Scene) -> Plan:
     """One period of 0.7 Hz with a dwell of 0.5 s at the second peak (ISO 19365), coasting."""
     plan, parts = _event_plan(scene, 0.6, 0.9, 8.0)
     for part in parts:
-        size = scene.rng.choice([-1.0, 1.0]) * scene.steer_for(scene.rng.uniform(0.8, 2.2) * scene.grip, plan.speed)
+        size = scene.throw(0.8, 2.2, plan.speed)
         t = np.arange(part.stop - part.start) * CONTROL_PERIOD
         phase = np.interp(t, [0.0, 0.75 / 0.7, 0.75 / 0.7 + 0.5, 1.0 / 0.7 + 0.5], [0.0, 0.75, 0.75, 1.0])
         plan.schedule[part, PROFILE] = size * np.sin(2.0 * np.pi * phase)
@@ -274,15 +194,10 @@ def double_lane_change(scene: Scene) -> Plan:
     gap = int(max(60.0, 3.5 * speed))
     for at in range(30, length, 61 + gap):
         offset = scene.rng.choice([-1.0, 1.0]) * scene.rng.uniform(2.5, 3.6)
-        side += offset * (_smooth(np.arange(length) - at, 13.5) - _smooth(np.arange(length) - at - 24.5, 12.5))
+        along = np.arange(length) - float(at)
+        side += offset * (smooth(along, 13.5) - smooth(along - 24.5, 12.5))
     path = np.column_stack((np.arange(length, dtype=float), side, np.full(length, TOP_SPEED)))
     return scene.plan(speed, path, FOLLOW_PATH)
-
-
-def _smooth(distance: np.ndarray, length: float) -> np.ndarray:
-    """Rise from 0 to 1 over a length, without kinks."""
-    share = np.clip(distance / length, 0.0, 1.0)
-    return share * share * (3.0 - 2.0 * share)
 
 
 def brake_in_turn(scene: Scene) -> Plan:
@@ -298,10 +213,12 @@ def power_in_turn(scene: Scene) -> Plan:
 def _pedal_in_turn(scene: Scene, column: int, most: float) -> Plan:
     radius = scene.rng.uniform(25.0, 90.0)
     plan = _circle(scene, radius)
-    plan.schedule[:, SPEED] = min(np.sqrt(scene.rng.uniform(0.5, 0.9) * scene.grip * radius), scene.top_speed())
-    plan.speed = 0.8 * float(plan.schedule[0, SPEED])
-    for part in _segments(scene, 6.0, 9.0):
-        press = slice(min(part.start + 400, part.stop), min(part.start + 400 + int(scene.rng.uniform(80, 200)), part.stop))
+    speed = min(float(np.sqrt(scene.rng.uniform(0.5, 0.9) * scene.grip * radius)), scene.top_speed())
+    plan.schedule[:, SPEED] = speed
+    plan.speed = 0.8 * speed
+    for part in segments(scene, 6.0, 9.0):
+        begin = min(part.start + 400, part.stop)
+        press = slice(begin, min(begin + int(scene.rng.uniform(80, 200)), part.stop))
         plan.schedule[press, SPEED] = np.nan
         plan.schedule[press, column] = scene.rng.uniform(0.0, most) * scene.friction[press]
     return plan
@@ -327,7 +244,7 @@ def _drifts(scene: Scene, low: float, high: float, alternate: bool) -> Plan:
         slide = side * np.radians(scene.rng.uniform(12.0, 30.0))
         swing = (1.2 if last else 0.8) / np.sqrt(scene.friction[at])
         n = len(plan.schedule[at:hold])
-        plan.schedule[at:hold, SLIDE] = last + (slide - last) * _smooth(np.arange(n) * CONTROL_PERIOD, swing)
+        plan.schedule[at:hold, SLIDE] = last + (slide - last) * smooth(np.arange(n) * CONTROL_PERIOD, swing)
         side = -side if alternate else scene.rng.choice([-1.0, 1.0])
         last = slide if alternate and scene.rng.random() < 0.7 else 0.0
         at = hold + (0 if last else int(scene.rng.uniform(3.0, 5.0) / CONTROL_PERIOD))
@@ -338,7 +255,7 @@ def handbrake_turn(scene: Scene) -> Plan:
     """Bends entered with the handbrake: large slides, at times a spin."""
     plan, parts = _event_plan(scene, 0.35, 0.6, 7.0)
     for part in parts:
-        size = scene.rng.choice([-1.0, 1.0]) * scene.steer_for(scene.rng.uniform(0.6, 1.1) * scene.grip, plan.speed)
+        size = scene.throw(0.6, 1.1, plan.speed)
         pull = min(part.start + int(scene.rng.uniform(60, 150)), part.stop)
         plan.schedule[part.start : pull, PROFILE] = size
         plan.schedule[part.start + 30 : pull, EXTRA_HANDBRAKE] = 1.3 * scene.friction[part.start]

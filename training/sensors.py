@@ -6,7 +6,7 @@ speeds 0.6 to 0.9 % low).
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
@@ -40,10 +40,6 @@ class SensorFaults:
     wheel_scale: tuple[float, float, float, float]
     noise: float = 1.0
 
-    def as_dict(self) -> dict[str, object]:
-        """Plain values, for the data card."""
-        return asdict(self)
-
 
 def draw_faults(rng: np.random.Generator) -> SensorFaults:
     """Draw the faults of one log: biases normal with the scale `BIAS`, latencies uniform in their ranges."""
@@ -59,7 +55,9 @@ PERFECT = SensorFaults(dict.fromkeys(BIAS, 0.0), dict.fromkeys([*LATENCY, "wheel
 """Sensors without fault or noise; quantisation is off with them."""
 
 
-def measure(truth: np.ndarray, vehicle: Vehicle, faults: SensorFaults, rng: np.random.Generator) -> pd.DataFrame:
+def measure(
+    truth: np.ndarray, vehicle: Vehicle, faults: SensorFaults, rng: np.random.Generator
+) -> pd.DataFrame:
     """Make the log's table from the truth.
 
     Parameters
@@ -96,7 +94,7 @@ def measure(truth: np.ndarray, vehicle: Vehicle, faults: SensorFaults, rng: np.r
     steer = steer_wheel / vehicle.steering_ratio
     rim = truth[:, SPIN : SPIN + 4] * vehicle.wheel_radius * (1.0 + np.array(faults.wheel_scale))
     wheels = np.column_stack([read("wheel", rim[:, i]) for i in range(4)])
-    half_tracks = 0.5 * np.array([-vehicle.track_front, vehicle.track_front, -vehicle.track_rear, vehicle.track_rear])
+    half_tracks = 0.5 * np.outer([vehicle.track_front, vehicle.track_rear], [-1.0, 1.0]).ravel()
     speed = np.empty(len(t))
     _vehicle_speed(wheels, ax - faults.bias["ax"], yaw_rate, steer, half_tracks, CONTROL_PERIOD, speed)
     total = np.hypot(vx, vy)
@@ -129,8 +127,8 @@ def _quantise(values: np.ndarray, step: float, faults: SensorFaults) -> np.ndarr
 def _vehicle_speed(wheels, ax, yaw_rate, steer, half_tracks, dt, speed):
     """Write the vehicle speed [m/s] as brake electronics make it from wheel speeds and ax.
 
-    Wheel speeds are taken to the car's middle; the mean of the two nearest to dead reckoning by ax is believed
-    as far as it differs from it by less than 0.2 m/s, or else pulls at 4 m/s^2. Slip of all wheels leaks in.
+    Wheel speeds are taken to the car's middle. The two nearest to dead reckoning by ax are believed where
+    their mean is within 0.2 m/s of it; else they pull at 4 m/s^2. Slip of all wheels leaks in.
     """
     held = 0.25 * (wheels[0, 0] + wheels[0, 1] + wheels[0, 2] + wheels[0, 3])
     middle = np.empty(4)

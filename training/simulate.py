@@ -8,6 +8,7 @@ import json
 import os
 import platform
 from collections.abc import Callable
+from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import NamedTuple
@@ -18,9 +19,10 @@ from joblib import Parallel, delayed
 from crosscomb.errors import UsageError
 from crosscomb.models.plant import PlantParameters, make_plant
 from crosscomb.models.vehicle import Vehicle
-from crosscomb.signals import Signals, make_signals
+from crosscomb.signals import MIN_SPEED, Signals, make_signals
 from crosscomb.training.driver import CONTROL_PERIOD, RECORD, Driver, run_manoeuvre, start
-from crosscomb.training.manoeuvres import KINDS, MANOEUVRES, SLIDING, Plan, Scene
+from crosscomb.training.manoeuvres import KINDS, MANOEUVRES, SLIDING
+from crosscomb.training.scene import Plan, Scene
 from crosscomb.training.sensors import PERFECT, draw_faults, measure
 
 STEP = 0.001
@@ -30,7 +32,7 @@ MASS_SPREAD = 0.10
 STIFFNESS_SPREAD = 0.15
 SLIDE_POWER = 120.0
 SLIDE_LOCK = 80.0
-"""Least drive power [W/kg] and differential lock [N m s/rad] in sliding manoeuvres, as of a car made for it."""
+"""Least drive power [W/kg] and differential lock [N m s/rad] where the manoeuvre is a slide."""
 
 SURFACES: dict[str, tuple[float, float]] = {"dry": (0.9, 1.0), "wet": (0.55, 0.65), "snow": (0.25, 0.35)}
 """Ranges of the friction coefficient."""
@@ -42,7 +44,7 @@ VEHICLE_FILE = "vehicle.toml"
 class Job(NamedTuple):
     """One log of a data set: its place, manoeuvre and surface."""
 
-    index: int
+    number: int
     kind: str
     manoeuvre: str
     surface: str
@@ -50,7 +52,7 @@ class Job(NamedTuple):
     @property
     def name(self) -> str:
         """Name of the log."""
-        return f"{self.index:03d}_{self.manoeuvre}_{self.surface}"
+        return f"{self.number:03d}_{self.manoeuvre}_{self.surface}"
 
 
 def simulate_log(
@@ -104,13 +106,16 @@ def simulate_log(
         raise UsageError(f"{surface}: no such surface: take one of {', '.join((*SURFACES, 'jump'))}")
     if not 5.0 <= duration <= 3600.0:
         raise UsageError(f"duration {duration:g} s: a simulated log lasts 5 to 3600 s")
+    if friction is not None and not 0.05 <= friction <= 2.0:
+        raise UsageError(f"friction {friction:g}: a friction coefficient lies between 0.05 and 2")
     rng = np.random.Generator(np.random.SFC64(np.random.SeedSequence(seed)))
     plant = _draw_plant(vehicle, manoeuvre, rng, spread)
     road = _draw_friction(surface, friction, round(duration / CONTROL_PERIOD), rng)
     plan = MANOEUVRES[manoeuvre](Scene(plant, road, rng))
     truth = run_plan(plan, plant, _draw_driver(rng))
     sensors = draw_faults(rng) if faults else PERFECT
-    return make_signals(measure(truth, vehicle, sensors, rng), name or manoeuvre, "simulation")
+    log = make_signals(measure(truth, vehicle, sensors, rng), name or manoeuvre, "simulation")
+    return replace(log, notes=(f"friction {road.min():.3f} to {road.max():.3f}",))
 
 
 def run_plan(plan: Plan, plant: PlantParameters, driver: Driver, step: float = STEP) -> np.ndarray:
@@ -222,7 +227,11 @@ def simulate_data_set(
     card = {
         "seed": seed,
         "vehicle": vehicle.name,
-        "versions": {"crosscomb": version("crosscomb"), "numpy": np.__version__, "python": platform.python_version()},
+        "versions": {
+            "crosscomb": version("crosscomb"),
+            "numpy": np.__version__,
+            "python": platform.python_version(),
+        },
         "spread": {"mass": MASS_SPREAD, "tyre_stiffness": STIFFNESS_SPREAD, "friction": SURFACES},
         "logs": entries,
     }
@@ -231,17 +240,20 @@ def simulate_data_set(
 
 
 def _write_log(vehicle: Vehicle, out_dir: Path, seed: int, job: Job) -> dict[str, object]:
-    log = simulate_log(vehicle, job.manoeuvre, (seed, job.index), surface=job.surface, name=job.name)
+    log = simulate_log(vehicle, job.manoeuvre, (seed, job.number), surface=job.surface, name=job.name)
     buffer = io.BytesIO()
     with gzip.GzipFile(fileobj=buffer, mode="wb", mtime=0, compresslevel=6) as stream:
         stream.write(log.frame.to_csv(index=False, float_format="%.7g", lineterminator="\n").encode())
     _write(out_dir / f"{job.name}.csv.gz", buffer.getvalue())
-    beta = np.abs(np.degrees(log.beta_ref[np.nan_to_num(log.column("vx_ref")) > 3.0]))
+    # By total speed: a car that spun moves backwards.
+    moving = np.hypot(log.column("vx_ref"), log.column("vy_ref")) > MIN_SPEED
+    beta = np.abs(np.degrees(log.beta_ref[moving]))
     return {
         "log": job.name,
         "kind": job.kind,
         "manoeuvre": job.manoeuvre,
         "surface": job.surface,
+        "friction": log.notes[0].removeprefix("friction "),
         "duration_s": round(float(log.t[-1]), 2),
         "max_beta_deg": round(float(beta.max(initial=0.0)), 2),
         "share_beta_above_5_deg": round(float(np.mean(beta > 5.0)), 4) if beta.size else 0.0,
@@ -255,7 +267,7 @@ def _clear(out_dir: Path, force: bool) -> None:
         out_dir.mkdir(parents=True, exist_ok=True)
         old = sorted(p for p in out_dir.iterdir() if p.name.endswith((".csv", ".csv.gz")))
         if old and not force:
-            raise UsageError(f"{out_dir}: holds logs already ({old[0].name}): choose another folder or use --force")
+            raise UsageError(f"{out_dir}: holds logs already ({old[0].name}): take another folder or --force")
         ours = _earlier_logs(out_dir)
         for path in old:
             if path.name.removesuffix(".csv.gz") in ours:
@@ -290,5 +302,5 @@ def _vehicle_text(vehicle: Vehicle) -> str:
 
 
 def _toml(value: object) -> str:
-    # A JSON string is a valid TOML basic string.
-    return json.dumps(value) if isinstance(value, str) else repr(value)
+    # A JSON string, number or truth value is a valid TOML one.
+    return json.dumps(value, ensure_ascii=False)

@@ -1,0 +1,212 @@
+"""Speed of the filter kernels against other implementations of the same filters, side by side in one run.
+
+    python benchmarks/speed_filters.py [--repeats 15] [--steps 2000] [--particles 10000]
+
+Each repeat runs kernel and rival one after the other on the same samples, in turn with the other pairs, so that both
+see the same machine: only the ratios mean anything on a machine that does other work.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from crosscomb.filters.base import (
+    AX,
+    AY,
+    FXF,
+    FXR,
+    MAX_BETA,
+    SAMPLE_WIDTH,
+    STEER,
+    STEER_REAR,
+    VX,
+    YAW_RATE,
+    Estimate,
+    Inputs,
+    below_gate,
+    low_speed_answer,
+)
+from crosscomb.filters.dynamic_ekf import DynamicEKF
+from crosscomb.filters.kinematic_kf import KinematicKF
+from crosscomb.filters.random_walk_pf import FIRST_SPREAD, RandomWalkPF
+from crosscomb.filters.reference import reference_dynamic_ekf, reference_kinematic_kf
+from crosscomb.models.single_track import body_rates
+from crosscomb.models.vehicle import Vehicle, load_vehicle
+
+KERNEL_STEPS = 20
+"""The Kalman kernels run this many times the samples of their rivals, or their time could not be measured."""
+
+
+@dataclass(frozen=True)
+class Pair:
+    """A kernel, its rival, the samples each of them takes, and how much faster the kernel has to be."""
+
+    name: str
+    rival: str
+    run_kernel: Callable[[], Estimate]
+    run_rival: Callable[[], Estimate]
+    kernel_steps: int
+    rival_steps: int
+    bar: float
+
+
+def slalom(vehicle: Vehicle, steps: int, seed: int = 0) -> Inputs:
+    """Noisy samples of a slalom at 100 Hz, between 12 and 28 m/s."""
+    rng = np.random.default_rng(seed)
+    t = 0.01 * np.arange(steps)
+    samples = np.zeros((steps, SAMPLE_WIDTH))
+    samples[:, VX] = 20.0 + 8.0 * np.sin(0.3 * t) + rng.normal(0.0, 0.03, steps)
+    samples[:, STEER] = 0.04 * np.sin(2.0 * t)
+    samples[:, YAW_RATE] = samples[:, VX] * samples[:, STEER] / (vehicle.wheelbase + 0.0025 * samples[:, VX] ** 2)
+    samples[:, AY] = samples[:, VX] * samples[:, YAW_RATE] + rng.normal(0.0, 0.2, steps)
+    samples[:, AX] = 2.4 * np.cos(0.3 * t) + rng.normal(0.0, 0.2, steps)
+    samples[:, FXF] = samples[:, FXR] = 0.5 * vehicle.mass * samples[:, AX]
+    return Inputs(0.01, samples)
+
+
+def numpy_random_walk_pf(estimator: RandomWalkPF, inputs: Inputs, beta_ekf: np.ndarray) -> Estimate:
+    """Random-walk particle filter as one writes it well in numpy: no loop over particles, no needless copies.
+
+    Without the EKF that gives `beta_ekf` ``(n,) [rad]``, which the kernel has to run itself.
+    """
+    noise, car, dt, n = estimator.noise, estimator.car, inputs.dt, estimator.particles
+    rng = np.random.Generator(np.random.SFC64(estimator.seed))
+    scale = np.array([1.0, 1.0, car.mass, car.mass, car.mass, car.mass])[:, None]
+    width = np.array([noise.yaw_acceleration, noise.slip_rate, *[noise.force] * 4])[:, None] * scale
+    width *= np.sqrt(12.0 * dt)
+    half = scale * np.array(FIRST_SPREAD)[:, None]
+    p_yaw, p_a, p_beta = 0.5 / noise.yaw_rate**2, 0.5 / noise.accel**2, 0.5 * dt / noise.pseudo**2
+    places = np.arange(n)
+    x, random, log_weights = np.empty((6, n)), np.empty((6, n)), np.empty(n)
+    out = np.empty((len(inputs.samples), 2))
+    running = False
+    for k, sample in enumerate(inputs.samples):
+        vx, z_ax, z_ay, z_yaw, steer, steer_rear = sample[:6].tolist()
+        if below_gate(sample) or not running:
+            answer = np.empty(3)
+            low_speed_answer(sample, car, answer)
+            out[k] = answer[:2]
+            running = not below_gate(sample)
+            if running:
+                rng.random(out=x)
+                x -= 0.5
+                x *= 2.0 * half
+                x[0] += z_yaw
+                x[1] += beta_ekf[k]
+                log_weights[:] = 0.0
+            continue
+        rng.random(out=random)
+        random -= 0.5
+        random *= width
+        x[2:] += random[2:]
+        yaw_acceleration, beta_rate, ax, ay = body_rates.py_func(
+            x[2], x[3], x[4], x[5], vx, x[0], np.cos(steer), np.sin(steer), np.cos(steer_rear), np.sin(steer_rear),
+            np.cos(x[1]), np.sin(x[1]), car.mass, car.yaw_inertia, car.a, car.b,
+        )  # fmt: skip
+        x[0] += dt * yaw_acceleration
+        x[0] += random[0]
+        x[1] += dt * beta_rate
+        x[1] += random[1]
+        np.clip(x[1], -MAX_BETA, MAX_BETA, out=x[1])
+        log_weights -= (
+            p_yaw * (x[0] - z_yaw) ** 2
+            + p_a * ((ax - z_ax) ** 2 + (ay - z_ay) ** 2)
+            + p_beta * (x[1] - beta_ekf[k]) ** 2
+        )
+        log_weights -= log_weights.max()
+        weights = np.exp(log_weights)
+        weights /= weights.sum()
+        beta = weights @ x[1]
+        out[k] = beta, np.sqrt(weights @ (x[1] - beta) ** 2)
+        if 1.0 / (weights @ weights) < 0.5 * n:
+            source = np.searchsorted(np.cumsum(weights), (places + rng.random()) / n)
+            x = x[:, np.minimum(source, n - 1)]
+            log_weights[:] = 0.0
+    return Estimate(out[:, 0], out[:, 1], np.full(len(out), np.nan))
+
+
+def make_pairs(steps: int, particles: int) -> list[Pair]:
+    """The comparisons: Kalman kernels with filterpy, the particle kernel with numpy."""
+    vehicle = load_vehicle("golf_gti_2018")
+    short, long = slalom(vehicle, steps), slalom(vehicle, steps * KERNEL_STEPS)
+    kf, linear, dugoff = KinematicKF(vehicle), DynamicEKF(vehicle, tyre="linear"), DynamicEKF(vehicle)
+    pf = RandomWalkPF(vehicle, particles=particles)
+    few = Inputs(short.dt, short.samples[: max(steps // 20, 20)])
+    beta_ekf = DynamicEKF(vehicle, pf.noise.ekf).run(few).beta
+
+    def pair(name: str, estimator: KinematicKF | DynamicEKF, twin: Callable[..., Estimate]) -> Pair:
+        return Pair(
+            name,
+            "filterpy",
+            lambda: estimator.run(long),
+            lambda: twin(estimator, short),
+            len(long.samples),
+            len(short.samples),
+            300.0,
+        )
+
+    return [
+        pair("kinematic KF", kf, reference_kinematic_kf),
+        pair("dynamic EKF, linear tyre", linear, reference_dynamic_ekf),
+        pair("dynamic EKF, Dugoff tyre", dugoff, reference_dynamic_ekf),
+        Pair(
+            f"random-walk PF, {particles:,} particles",
+            "numpy, vectorised",
+            lambda: pf.run(few),
+            lambda: numpy_random_walk_pf(pf, few, beta_ekf),
+            len(few.samples),
+            len(few.samples),
+            2.5,
+        ),
+    ]
+
+
+def measure(pairs: list[Pair], repeats: int) -> np.ndarray:
+    """Time per step ``(repeats, pairs, 2) [us]`` of kernel and rival."""
+    for pair in pairs:  # compiles the kernels, fills the caches
+        pair.run_kernel()
+        pair.run_rival()
+    times = np.empty((repeats, len(pairs), 2))
+    for repeat in range(repeats):
+        for i, pair in enumerate(pairs):
+            for j, (run, steps) in enumerate(
+                ((pair.run_kernel, pair.kernel_steps), (pair.run_rival, pair.rival_steps))
+            ):
+                begin = time.perf_counter()
+                run()
+                times[repeat, i, j] = (time.perf_counter() - begin) / steps * 1e6
+    return times
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--repeats", type=int, default=15)
+    parser.add_argument("--steps", type=int, default=2000, help="samples for the slow side of each Kalman pair")
+    parser.add_argument("--particles", type=int, default=10_000)
+    options = parser.parse_args()
+    pairs = make_pairs(options.steps, options.particles)
+    times = measure(pairs, options.repeats)
+
+    table = Table(title=f"Time per sample on one core, best of {options.repeats}")
+    for heading in ("filter", "rival", "kernel us", "rival us", "ratio", "median ratio", "bar", ""):
+        table.add_column(heading, justify="left" if heading in ("filter", "rival", "") else "right")
+    best, median = times.min(axis=0), np.median(times[:, :, 1] / times[:, :, 0], axis=0)
+    for i, pair in enumerate(pairs):
+        kernel, rival = best[i]
+        table.add_row(
+            pair.name, pair.rival, f"{kernel:.3f}", f"{rival:.1f}", f"{rival / kernel:.1f}", f"{median[i]:.1f}",
+            f"{pair.bar:g}", "met" if rival / kernel >= pair.bar else "missed",
+        )  # fmt: skip
+    Console().print(table)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,252 @@
+"""Pictures and pages that people read: estimates, confusion matrices, the report of a training."""
+
+from __future__ import annotations
+
+import base64
+import html
+import io
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import matplotlib
+
+matplotlib.use("Agg")
+import matplotlib.pyplot as plt
+import numpy as np
+import pandas as pd
+from matplotlib.figure import Figure
+
+from crosscomb.estimate import LogEstimate
+from crosscomb.files import write_file, write_text
+from crosscomb.signals import MIN_SPEED
+
+if TYPE_CHECKING:
+    from crosscomb.training.evaluate import Evaluation
+    from crosscomb.training.train import Training
+
+COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
+"""Colour of each filter, told apart by colour-blind eyes (Okabe and Ito)."""
+
+
+def estimate_figure(estimate: LogEstimate, title: str) -> Figure:
+    """Draw beta with its band and the reference, the active filter, and the signals it was chosen by.
+
+    Parameters
+    ----------
+    estimate : LogEstimate
+    title : str
+    """
+    t = estimate.signals.t - estimate.signals.t[0]
+    names = list(estimate.filters)
+    moving = estimate.signals.column("vx") > MIN_SPEED
+    figure, (main, strip, inputs) = plt.subplots(
+        3, 1, figsize=(12, 7), sharex=True, height_ratios=(5, 0.6, 2.2), layout="constrained"
+    )
+    beta, band = np.degrees(estimate.beta), np.degrees(1.96 * estimate.beta_std)
+    for colour, name in zip(COLOURS, names, strict=False):
+        main.plot(t, np.degrees(estimate.filters[name]), color=colour, lw=0.7, alpha=0.55, label=name)
+    main.fill_between(t, beta - band, beta + band, color="0.75", alpha=0.6, lw=0, label="± 1.96 beta_std")
+    main.plot(t, beta, color="black", lw=1.4, label="crosscomb")
+    reference = np.where(moving, np.degrees(estimate.signals.beta_ref), np.nan)
+    shown = [beta[moving]] if moving.any() else [beta]
+    if np.isfinite(reference).any():
+        main.plot(t, reference, color="#e6007e", lw=1.2, ls="--", label="reference")
+        shown.append(reference[np.isfinite(reference)])
+    _limits(main, np.concatenate(shown))
+    main.axhline(0.0, color="0.5", lw=0.5)
+    main.set_ylabel("beta [deg]")
+    main.set_title(title)
+    main.legend(loc="upper right", ncols=3, fontsize=8)
+    for colour, name in zip(COLOURS, names, strict=False):
+        strip.fill_between(t, 0, 1, where=estimate.active == name, color=colour, lw=0, step="post")
+    strip.fill_between(t, 0, 1, where=~moving, color="white", alpha=0.75, lw=0, step="post")
+    strip.set_yticks([])
+    strip.set_ylabel("active", rotation=0, ha="right", va="center")
+    inputs.plot(t, estimate.signals.column("ay"), color="0.25", lw=0.7, label="ay [m/s²]")
+    inputs.plot(t, np.degrees(estimate.signals.column("yaw_rate")) / 10.0, color=COLOURS[4], lw=0.9,
+                label="yaw rate [10 deg/s]")  # fmt: skip
+    inputs.plot(t, estimate.signals.column("vx") / 10.0, color=COLOURS[5], lw=0.9, label="vx [10 m/s]")
+    inputs.legend(loc="upper right", ncols=3, fontsize=8)
+    inputs.set_xlabel("t [s]")
+    for axis in (main, inputs):
+        axis.grid(alpha=0.3)
+    return figure
+
+
+def _limits(axis: plt.Axes, values: np.ndarray) -> None:
+    """Scale to what is estimated, not to a single filter that runs off."""
+    low, high = float(values.min()), float(values.max())
+    margin = max(1.0, 0.25 * (high - low))
+    axis.set_ylim(low - margin, high + margin)
+
+
+def plot_estimate(estimate: LogEstimate, path: Path, title: str) -> None:
+    """Write the picture of an estimate as PNG."""
+    _save(estimate_figure(estimate, title), path)
+
+
+def confusion_figure(confusion: np.ndarray, names: Sequence[str]) -> Figure:
+    """Draw a confusion matrix with counts and row shares.
+
+    Parameters
+    ----------
+    confusion : (filters, filters) int
+        Windows by best filter (rows) and selected filter (columns).
+    names : sequence of str
+    """
+    shares = row_shares(confusion)
+    figure, axis = plt.subplots(figsize=(6.2, 5.2), layout="constrained")
+    image = axis.imshow(shares, vmin=0.0, vmax=1.0, cmap="Blues")
+    for i in range(len(names)):
+        for j in range(len(names)):
+            axis.text(j, i, f"{confusion[i, j]}\n{100 * shares[i, j]:.0f} %", ha="center", va="center",
+                      color="white" if shares[i, j] > 0.5 else "black")  # fmt: skip
+    axis.set_xticks(range(len(names)), names, rotation=20, ha="right")
+    axis.set_yticks(range(len(names)), names)
+    axis.set_xlabel("selected")
+    axis.set_ylabel("best in the window")
+    axis.set_title("Windows of recordings not seen in fitting")
+    figure.colorbar(image, label="share of the row")
+    return figure
+
+
+def row_shares(confusion: np.ndarray) -> np.ndarray:
+    """Share of each row's windows ``(filters, filters)``; a row without windows gets zeros."""
+    return confusion / np.maximum(confusion.sum(axis=1, keepdims=True), 1)
+
+
+def confusion_table(confusion: np.ndarray, names: Sequence[str]) -> pd.DataFrame:
+    """Confusion matrix as a table: one row per best filter, counts and then row shares per selected one."""
+    counts = pd.DataFrame(confusion, index=list(names), columns=[f"selected_{name}" for name in names])
+    shares = pd.DataFrame(row_shares(confusion), index=list(names), columns=[f"share_{name}" for name in names])
+    return pd.concat([counts, shares], axis=1).rename_axis("best")
+
+
+def write_training(training: Training, artefact_path: Path, notes: Sequence[str]) -> list[Path]:
+    """Write what belongs beside an artefact: report, confusion matrix and metrics.
+
+    Returns
+    -------
+    list of Path
+        The files written.
+    """
+    folder = artefact_path.parent
+    names = training.artefact.filter_names
+    confusion = training.folds.confusion
+    paths = [folder / name for name in ("report.html", "confusion_matrix.csv", "confusion_matrix.png", "metrics.json")]
+    write_file(paths[1], lambda path: confusion_table(confusion, names).to_csv(path, lineterminator="\n"))
+    _save(confusion_figure(confusion, names), paths[2])
+    write_text(paths[3], metrics_json(training))
+    write_text(paths[0], training_page(training, artefact_path.name, notes))
+    return paths
+
+
+def metrics_json(training: Training) -> str:
+    """Scores of a training for programs [deg]."""
+    content = {
+        "selector": training.artefact.selector_name,
+        "depth": training.depth,
+        "parts": {
+            part: {
+                "recordings": list(map(str, evaluation.table.index)),
+                "best_single": evaluation.best_single,
+                "switch_to_best_single": evaluation.ratio,
+                "overall_deg": json.loads(evaluation.overall.to_json(orient="index", double_precision=6)),
+                "per_recording_deg": {
+                    str(name): {
+                        f"{estimator}_{measure}": round(float(value), 6)
+                        for (estimator, measure), value in row.items()
+                    }
+                    for name, row in evaluation.table.iterrows()
+                },
+                "confusion": evaluation.confusion.tolist(),
+            }
+            for part, evaluation in training.evaluations.items()
+        },
+    }
+    return json.dumps(content, indent=1) + "\n"
+
+
+STYLE = """
+body { font: 15px/1.45 system-ui, sans-serif; max-width: 70rem; margin: 2rem auto; padding: 0 1rem; color: #222 }
+h1 { margin-bottom: 0 } table { border-collapse: collapse; margin: .6rem 0 1.4rem; font-variant-numeric: tabular-nums }
+th, td { padding: .2rem .7rem; border-bottom: 1px solid #ddd; text-align: right } th:first-child { text-align: left }
+thead th { border-bottom: 2px solid #888; font-weight: 600; vertical-align: bottom } .best { font-weight: 700 }
+p.note { color: #555 } img { max-width: 100% }
+"""
+
+
+def training_page(training: Training, artefact_name: str, notes: Sequence[str]) -> str:
+    """One self-contained page on a training."""
+    record = training.artefact.training
+    blocks = [
+        f"<h1>{html.escape(artefact_name)}</h1>",
+        f"<p class=note>Selector {html.escape(training.artefact.selector_name)}, depth {training.depth}; "
+        f"{len(record['data'])} recordings, seed {record['seed']}. Every figure below is of trees that had not seen "
+        f"the recording; the tree in the file was fitted on all of them afterwards.</p>",
+    ]
+    explained = {
+        "folds": "Grouped folds inside the training part (75 %). The depth was chosen by these, so they flatter a little.",
+        "validation": "Validation part (15 %): judged by a tree fitted on the training part.",
+        "test": "Test part (10 %): judged by the same tree.",
+    }
+    for part, evaluation in training.evaluations.items():
+        blocks.append(f"<h2>{part.capitalize()}</h2><p class=note>{explained[part]}</p>")
+        blocks.append(_overall_html(evaluation))
+        blocks.append(_recordings_html(evaluation))
+    image = _as_png(confusion_figure(training.folds.confusion, training.artefact.filter_names))
+    blocks.append("<h2>Confusion matrix of the folds</h2>")
+    blocks.append(f'<img alt="confusion matrix" src="data:image/png;base64,{base64.b64encode(image).decode()}">')
+    if notes:
+        blocks.append("<h2>Notes</h2><ul>" + "".join(f"<li>{html.escape(note)}</li>" for note in notes) + "</ul>")
+    blocks.append("<h2>Parts</h2>")
+    for part, members in record["parts"].items():
+        blocks.append(f"<p><b>{part}</b>: {html.escape(', '.join(members))}</p>")
+    body = "\n".join(blocks)
+    return (
+        f'<!doctype html><html lang="en"><head><meta charset="utf-8"><title>{html.escape(artefact_name)}</title>'
+        f"<style>{STYLE}</style></head><body>{body}</body></html>\n"
+    )
+
+
+def _overall_html(evaluation: Evaluation) -> str:
+    overall = evaluation.overall
+    head = "".join(f"<th>{html.escape(str(name))}</th>" for name in overall.index)
+    rows = []
+    for measure, text in (("rmse", "mean RMSE [deg]"), ("max", "largest error [deg]")):
+        rows.append(f"<tr><th>{text}</th>{_cells(overall[measure])}</tr>")
+    ratio = (
+        f"<p>Switch / best single filter ({html.escape(evaluation.best_single)}): "
+        f"<b>{evaluation.ratio:.3f}</b></p>"
+    )
+    return f"<table><thead><tr><th></th>{head}</tr></thead><tbody>{''.join(rows)}</tbody></table>{ratio}"
+
+
+def _recordings_html(evaluation: Evaluation) -> str:
+    rmse = evaluation.table.xs("rmse", axis=1, level=1)
+    head = "".join(f"<th>{html.escape(str(name))}</th>" for name in rmse.columns)
+    rows = "".join(f"<tr><th>{html.escape(str(name))}</th>{_cells(row)}</tr>" for name, row in rmse.iterrows())
+    return f"<table><thead><tr><th>RMSE [deg]</th>{head}</tr></thead><tbody>{rows}</tbody></table>"
+
+
+def _cells(row: pd.Series) -> str:
+    """Table cells of one row; the best real estimate is bold."""
+    best = row.drop("oracle").min()
+    return "".join(
+        f"<td{' class=best' if name != 'oracle' and value == best else ''}>{value:.2f}</td>"
+        for name, value in row.items()
+    )
+
+
+def _as_png(figure: Figure) -> bytes:
+    buffer = io.BytesIO()
+    figure.savefig(buffer, dpi=110, metadata={"Software": None})
+    plt.close(figure)
+    return buffer.getvalue()
+
+
+def _save(figure: Figure, path: Path) -> None:
+    content = _as_png(figure)
+    write_file(path, lambda temporary: temporary.write_bytes(content))

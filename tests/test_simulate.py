@@ -1,0 +1,246 @@
+"""Simulated logs are what training needs: repeatable, balanced, with slides, seen by production sensors."""
+
+import json
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from crosscomb.errors import UsageError
+from crosscomb.models.plant import make_plant
+from crosscomb.models.vehicle import Plant, Vehicle, load_vehicle
+from crosscomb.signals import GRAVITY, make_signals
+from crosscomb.training.driver import AX, AY, PATH_Y, PROFILE, SLIDE, Driver
+from crosscomb.training.manoeuvres import MANOEUVRES, NORMAL
+from crosscomb.training.scene import Scene
+from crosscomb.training.simulate import plan_jobs, run_plan, simulate_data_set, simulate_log
+
+CAR = Vehicle(
+    name='car "with" quotes',
+    mass=1400.0,
+    yaw_inertia=2200.0,
+    cg_to_front_axle=1.1,
+    cg_to_rear_axle=1.5,
+    cg_height=0.53,
+    track_front=1.52,
+    track_rear=1.50,
+    wheel_radius=0.31,
+    steering_ratio=16.0,
+    cornering_stiffness_front=95e3,
+    cornering_stiffness_rear=120e3,
+    roll_gradient=0.007,
+)
+DRIVER = Driver(preview=0.6, steer_rate=1.0, acceleration=3.0, deceleration=5.0, wheel_spin=0.5)
+
+
+def car_with(layout: str) -> Vehicle:
+    return CAR.model_copy(update={"plant": Plant(drive=layout)})
+
+
+def longest_run(inside: np.ndarray) -> float:
+    """Longest unbroken stretch [s] of a 100 Hz condition."""
+    edges = np.flatnonzero(np.diff(np.concatenate(([0], inside.astype(int), [0]))))
+    return max(edges[1::2] - edges[::2], default=0) / 100.0
+
+
+def scene(manoeuvre: str, friction: float, seconds: float = 10.0, seed: int = 3):
+    plant = make_plant(car_with("rear"))
+    return plant, MANOEUVRES[manoeuvre](
+        Scene(plant, np.full(round(seconds * 100), friction), np.random.default_rng(seed))
+    )
+
+
+@pytest.mark.parametrize("manoeuvre", MANOEUVRES)
+@pytest.mark.parametrize("surface", ["dry", "jump"])
+def test_every_manoeuvre_gives_a_whole_log(manoeuvre, surface):
+    log = simulate_log(CAR, manoeuvre, 5, surface=surface, duration=12.0)
+    assert list(log.frame) == (
+        [
+            "t",
+            "vx",
+            "ax",
+            "ay",
+            "yaw_rate",
+            "steer",
+            "steer_wheel",
+            "vfl",
+            "vfr",
+            "vrl",
+            "vrr",
+            "beta_ref",
+            "vx_ref",
+            "vy_ref",
+        ]
+    )
+    assert len(log) == 1200
+    assert np.all(np.isfinite(log.frame.drop(columns="beta_ref")))
+    fast = np.hypot(log.column("vx_ref"), log.column("vy_ref")) > 1.0
+    assert fast.any()
+    np.testing.assert_array_equal(np.isfinite(log.column("beta_ref")), fast)
+
+
+@pytest.mark.parametrize("layout", ["front", "rear", "all"])
+@pytest.mark.parametrize("surface", ["dry", "snow"])
+def test_drifts_are_held_for_seconds(layout, surface):
+    for seed in range(3):
+        log = simulate_log(car_with(layout), "drift", seed, surface=surface)
+        beta = np.abs(np.degrees(log.column("beta_ref")))
+        assert longest_run((beta > 9.0) & (beta < 35.0)) > 2.0
+
+
+def test_driver_counter_steers_in_a_drift():
+    log = simulate_log(car_with("rear"), "drift", 1, surface="dry", faults=False)
+    sliding = np.abs(np.degrees(log.column("beta_ref"))) > 12.0
+    assert sliding.sum() > 300
+    against = np.sign(log.column("steer")) == -np.sign(log.column("yaw_rate"))
+    assert np.mean(against[sliding]) > 0.7
+
+
+@pytest.mark.parametrize("manoeuvre", NORMAL)
+def test_normal_driving_does_not_slide(manoeuvre):
+    for seed, surface in enumerate(("dry", "wet", "snow")):
+        log = simulate_log(CAR, manoeuvre, seed, surface=surface)
+        moving = log.column("vx_ref") > 3.0
+        # At low speed on tight bends beta is geometry: rear-axle distance over radius.
+        geometric = np.arctan(
+            CAR.cg_to_rear_axle * log.column("yaw_rate") / np.maximum(log.column("vx_ref"), 3.0)
+        )
+        assert np.abs(np.degrees(log.beta_ref - geometric))[moving].max() < 6.0
+        assert np.abs(log.column("vx") - log.column("vx_ref"))[moving].max() < 1.5
+
+
+@pytest.mark.parametrize("manoeuvre", ["circuit_limit", "drift", "circuit_slide", "brake_in_turn"])
+@pytest.mark.parametrize("friction", [0.3, 0.95])
+def test_acceleration_is_bounded_by_friction(manoeuvre, friction):
+    plant, plan = scene(manoeuvre, friction, 20.0)
+    truth = run_plan(plan, plant, DRIVER)
+    total = np.hypot(truth[:, AX] + plant.drag / plant.mass * truth[:, 0] ** 2, truth[:, AY])
+    assert total.max() < 1.03 * friction * GRAVITY
+    assert total.max() > 0.6 * friction * GRAVITY
+
+
+@pytest.mark.parametrize("manoeuvre", ["step_steer", "circuit", "drift"])
+def test_mirrored_manoeuvre_gives_mirrored_motion(manoeuvre):
+    plant, plan = scene(manoeuvre, 0.9)
+    left = run_plan(plan, plant, DRIVER)
+    plan.schedule[:, [PROFILE, SLIDE]] *= -1.0
+    plan.path = plan.path * np.where(np.arange(3) == PATH_Y, -1.0, 1.0)
+    right = run_plan(plan, plant, DRIVER)
+    assert np.abs(left[:, 1]).max() > 0.1
+    np.testing.assert_allclose(left[:, 0], right[:, 0], rtol=0.0, atol=1e-9)
+    np.testing.assert_allclose(left[:, [1, 2, AY]], -right[:, [1, 2, AY]], rtol=0.0, atol=1e-9)
+
+
+@pytest.mark.parametrize("manoeuvre", ["circuit_limit", "drift"])
+def test_half_the_step_changes_no_beta_with_the_driver_in_the_loop(manoeuvre):
+    plant, plan = scene(manoeuvre, 0.9)
+    whole, half = (run_plan(plan, plant, DRIVER, step) for step in (0.001, 0.0005))
+    beta, beta_half = (np.degrees(np.arctan2(x[:, 1], x[:, 0])) for x in (whole, half))
+    assert np.abs(beta).max() > 1.0
+    assert np.abs(beta - beta_half).max() < 0.01
+
+
+def test_accelerometer_feels_the_roll_of_the_body():
+    log = simulate_log(CAR, "circle", 2, friction=0.9, faults=False)
+    kinematic = np.gradient(log.column("vy_ref"), 0.01) + log.column("vx_ref") * log.column("yaw_rate")
+    steady = slice(500, None)
+    slope = np.polyfit(kinematic[steady], log.column("ay")[steady], 1)[0]
+    assert slope == pytest.approx(1.0 + GRAVITY * CAR.roll_gradient, rel=0.02)
+
+
+def test_production_sensors_are_off_by_what_is_documented():
+    perfect = simulate_log(CAR, "straight", 4, faults=False, duration=30.0)
+    faulty = simulate_log(CAR, "straight", 4, duration=30.0)
+    assert np.std(np.diff(faulty.column("yaw_rate"))) > 0.0005 > np.std(np.diff(perfect.column("yaw_rate")))
+    means = [simulate_log(CAR, "slalom", seed, duration=6.0).frame.mean() for seed in range(8)]
+    scales = [mean["vx"] / mean["vx_ref"] for mean in means]
+    assert 0.985 < min(scales) < max(scales) < 1.006
+    assert max(scales) - min(scales) > 0.002
+
+
+def test_stop_and_go_stops_and_goes():
+    log = simulate_log(CAR, "stop_and_go", 1, surface="dry")
+    speed = log.column("vx_ref")
+    assert speed[0] == 0.0
+    assert speed.max() > 4.0
+    assert longest_run(np.abs(speed) < 0.05) > 1.0
+
+
+def test_log_is_repeatable_and_seeds_differ():
+    one, again, other = (simulate_log(CAR, "circuit", seed, duration=8.0) for seed in (7, 7, 8))
+    pd.testing.assert_frame_equal(one.frame, again.frame, check_exact=True)
+    assert not one.frame.equals(other.frame)
+
+
+def test_given_friction_is_used():
+    log = simulate_log(CAR, "step_steer", 3, friction=0.4, faults=False)
+    assert np.abs(log.column("vx_ref") * log.column("yaw_rate")).max() < 0.4 * GRAVITY * 1.3
+
+
+@pytest.mark.parametrize(
+    ("change", "word"),
+    [
+        ({"manoeuvre": "loop"}, "circuit"),
+        ({"surface": "moon"}, "snow"),
+        ({"duration": 1.0}, "5 to 3600"),
+        ({"friction": -0.3}, "0.05"),
+    ],
+)
+def test_wrong_requests_are_refused_with_the_mend(change, word):
+    request = {"manoeuvre": "circuit", **change}
+    with pytest.raises(UsageError, match=word):
+        simulate_log(CAR, seed=1, **request)
+
+
+def test_jobs_are_balanced():
+    jobs = plan_jobs(40)
+    counts = [sum(job.kind == kind for job in jobs) for kind in ("normal", "limit", "sliding")]
+    assert max(counts) - min(counts) <= 1
+    assert len({job.name for job in jobs}) == 40
+    surfaces = {job.surface for job in jobs if job.kind == "sliding"}
+    assert {"dry", "wet", "snow"} <= surfaces
+
+
+def test_data_set_is_the_same_bytes_whatever_the_jobs(tmp_path):
+    ticks = []
+    one = simulate_data_set(CAR, tmp_path / "a", 11, 4, progress=lambda: ticks.append(1))
+    two = simulate_data_set(CAR, tmp_path / "b", 11, 4, jobs=2)
+    assert len(ticks) == 4
+    assert [p.name for p in one] == [p.name for p in two]
+    names = sorted(p.name for p in (tmp_path / "a").iterdir())
+    assert names == sorted([*(p.name for p in one), "vehicle.toml", "dataset.json"])
+    for name in names:
+        assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes()
+
+
+def test_data_set_is_complete(tmp_path):
+    paths = simulate_data_set(CAR, tmp_path, 2, 3)
+    for path in paths:
+        log = make_signals(pd.read_csv(path), path.name)
+        assert log.has_reference
+    assert load_vehicle(tmp_path / "vehicle.toml") == CAR
+    card = json.loads((tmp_path / "dataset.json").read_text())
+    assert card["seed"] == 2
+    assert [entry["log"] + ".csv.gz" for entry in card["logs"]] == [p.name for p in paths]
+    assert card["logs"][2]["max_beta_deg"] > 5.0
+
+
+def test_card_tells_a_spin_from_a_slide(tmp_path):
+    simulate_data_set(car_with("rear"), tmp_path, 1, 12)
+    card = json.loads((tmp_path / "dataset.json").read_text())
+    for entry in card["logs"]:
+        log = pd.read_csv(tmp_path / f"{entry['log']}.csv.gz")
+        backwards = (log["vx_ref"] < 0.0) & (np.hypot(log["vx_ref"], log["vy_ref"]) > 3.0)
+        assert entry["spun"] is bool(backwards.any())
+    assert {entry["spun"] for entry in card["logs"]} == {True, False}
+
+
+def test_folder_with_logs_needs_force_and_keeps_foreign_logs(tmp_path):
+    first = simulate_data_set(CAR, tmp_path, 1, 3)
+    (tmp_path / "mine.csv").write_text("t\n0\n")
+    with pytest.raises(UsageError, match="--force"):
+        simulate_data_set(CAR, tmp_path, 1, 1)
+    assert all(p.exists() for p in first)
+    second = simulate_data_set(CAR, tmp_path, 5, 1, force=True)
+    logs = {p.name for p in tmp_path.iterdir() if p.name.endswith((".csv", ".csv.gz"))}
+    assert logs == {second[0].name, "mine.csv"}

@@ -1,0 +1,97 @@
+"""Score a selector on recordings, beside beta = 0, every single filter and the oracle."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+
+from crosscomb.artefact import Artefact
+from crosscomb.estimate import select
+from crosscomb.training.bank import BankRun
+from crosscomb.training.labels import Windows
+from crosscomb.training.metrics import coverage, score
+
+ZERO, SWITCH, ORACLE = "zero", "switch", "oracle"
+"""Names of the rows beside those of the filters."""
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """Scores of a selector on a set of recordings.
+
+    Attributes
+    ----------
+    table : pandas.DataFrame
+        One row per recording; columns ``(estimator, "rmse" | "max")`` [deg], estimators being zero, the filters,
+        switch and oracle, and ``("switch", "coverage" | "switches_per_minute" | "largest_jump")``.
+    confusion : (filters, filters) int
+        Windows by best filter (rows) and selected filter (columns).
+    """
+
+    table: pd.DataFrame
+    confusion: np.ndarray
+
+    @property
+    def overall(self) -> pd.DataFrame:
+        """Mean RMSE over recordings and largest error per estimator [deg], estimators as rows."""
+        rmse = self.table.xs("rmse", axis=1, level=1).mean()
+        largest = self.table.xs("max", axis=1, level=1).max()
+        return pd.DataFrame({"rmse": rmse, "max": largest})
+
+    @property
+    def best_single(self) -> str:
+        """Filter with the lowest mean RMSE over the recordings."""
+        rmse = self.overall["rmse"].drop([ZERO, SWITCH, ORACLE])
+        return str(rmse.idxmin())
+
+    @property
+    def ratio(self) -> float:
+        """RMSE of the switch over that of the best single filter."""
+        rmse = self.overall["rmse"]
+        return float(rmse[SWITCH] / rmse[self.best_single])
+
+
+def evaluate(banks: Sequence[BankRun], artefact: Artefact) -> Evaluation:
+    """Score an artefact on recordings; its fitted part must not have seen them."""
+    rows = {bank.recording.name: evaluate_one(bank, artefact) for bank in banks}
+    table = pd.DataFrame.from_dict(rows, orient="index")
+    table.columns = pd.MultiIndex.from_tuples(table.columns)
+    classes = len(artefact.filters)
+    confusion = np.zeros((classes, classes), dtype=np.int64)
+    for bank in banks:
+        confusion += confusion_of(bank.windows(artefact.window), artefact)
+    return Evaluation(table, confusion)
+
+
+def evaluate_one(bank: BankRun, artefact: Artefact) -> dict[tuple[str, str], float]:
+    """Scores of one recording [deg]."""
+    chosen = [select(run, artefact) for run in bank.runs]
+    beta, beta_std, active = (np.concatenate(part) for part in zip(*chosen, strict=True))
+    each = bank.joined(lambda run: run.beta)
+    estimates = {ZERO: np.zeros_like(beta)}
+    estimates |= {name: each[:, i] for i, name in enumerate(artefact.filter_names)}
+    estimates |= {SWITCH: beta, ORACLE: bank.oracle(artefact.window.length)}
+    row = {}
+    for name, estimate in estimates.items():
+        result = score(estimate, bank.beta_ref, bank.counted)
+        row[name, "rmse"] = float(np.degrees(result.rmse))
+        row[name, "max"] = float(np.degrees(result.max_error))
+    row[SWITCH, "coverage"] = coverage(beta, beta_std, bank.beta_ref, bank.counted)
+    switched = np.flatnonzero(np.diff(active) != 0) + 1
+    row[SWITCH, "switches_per_minute"] = len(switched) / (len(beta) / artefact.rate / 60.0)
+    # The step in the output where the active filter changes, less the step the new filter takes by itself.
+    own = each[switched, active[switched]] - each[switched - 1, active[switched]]
+    jumps = np.abs(np.diff(beta)[switched - 1] - own)
+    row[SWITCH, "largest_jump"] = float(np.degrees(jumps.max(initial=0.0)))
+    return row
+
+
+def confusion_of(windows: Windows, artefact: Artefact) -> np.ndarray:
+    """Count windows by best filter (rows) and selected filter (columns)."""
+    classes = len(artefact.filters)
+    counts = np.zeros((classes, classes), dtype=np.int64)
+    np.add.at(counts, (windows.label, artefact.tree.predict(windows.features)), 1)
+    return counts

@@ -1,0 +1,122 @@
+"""A data folder as recordings: logs with ground truth, each with its vehicle."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from crosscomb.channel_map import ChannelMap
+from crosscomb.errors import UsageError
+from crosscomb.estimate import require_plausible
+from crosscomb.logs import log_name, read_log
+from crosscomb.models.vehicle import Vehicle, load_vehicle
+from crosscomb.prepare import complete
+from crosscomb.signals import Signals
+
+LEAST_RECORDINGS = 7
+"""Fewer cannot be split 75/15/10 and still leave five folds."""
+
+
+@dataclass(frozen=True)
+class Recording:
+    """One log that can be scored.
+
+    Attributes
+    ----------
+    name : str
+        Log name, after its sub-folder where there are several.
+    path : Path
+    vehicle : Vehicle
+    signals : Signals
+        Completed.
+    """
+
+    name: str
+    path: Path
+    vehicle: Vehicle
+    signals: Signals
+
+
+def find_logs(folder: Path) -> list[Path]:
+    """Logs in a folder, in order of their names."""
+    return sorted(p for p in folder.iterdir() if p.name.endswith((".csv", ".csv.gz")) and p.is_file())
+
+
+def read_recordings(
+    folder: Path, vehicle: Path | None = None, channel_map: ChannelMap | None = None
+) -> tuple[list[Recording], list[str]]:
+    """Read all recordings of a data folder and of its sub-folders, one per vehicle.
+
+    Parameters
+    ----------
+    folder : Path
+        Logs directly in it, or sub-folders each with logs and a ``vehicle.toml``.
+    vehicle : Path, optional
+        Vehicle file that holds for all logs.
+    channel_map : ChannelMap, optional
+
+    Returns
+    -------
+    recordings : list of Recording
+    notes : list of str
+        What was skipped and why.
+
+    Raises
+    ------
+    UsageError
+        The folder is missing or holds no log, or a log or vehicle file is broken: it is named, nothing is run.
+    """
+    if not folder.is_dir():
+        raise UsageError(f"{folder}: no such data folder")
+    recordings: list[Recording] = []
+    notes: list[str] = []
+    for place in [folder, *sorted(p for p in folder.iterdir() if p.is_dir())]:
+        logs = find_logs(place)
+        if not logs:
+            continue
+        car_file = vehicle or place / "vehicle.toml"
+        if not vehicle and not car_file.exists():
+            if place == folder:
+                raise UsageError(f"{folder}: no vehicle.toml beside the logs: write it, or give --vehicle")
+            notes.append(f"{place.name}: skipped, it has no vehicle.toml (give --vehicle to use it)")
+            continue
+        car = load_vehicle(car_file)
+        prefix = "" if place == folder else f"{place.name}/"
+        for path in logs:
+            signals = read_log(path, channel_map)
+            require_plausible(signals, car)
+            signals = complete(signals, car)
+            if not signals.has_reference:
+                notes.append(f"{prefix}{path.name}: skipped, it has no ground truth above walking speed")
+                continue
+            recordings.append(Recording(prefix + log_name(path), path, car, signals))
+    if not recordings and not notes:
+        raise UsageError(f"{folder}: holds no log (.csv or .csv.gz)")
+    _require_unique([recording.name for recording in recordings], folder)
+    return recordings, notes
+
+
+def require_enough(recordings: list[Recording], folder: Path) -> None:
+    """Refuse a data set that is too small to be split.
+
+    Raises
+    ------
+    UsageError
+    """
+    if len(recordings) < LEAST_RECORDINGS:
+        raise UsageError(
+            f"{folder}: {len(recordings)} recordings with ground truth, training needs at least "
+            f"{LEAST_RECORDINGS}: add logs, or simulate some with `crosscomb simulate`"
+        )
+
+
+def common_vehicle(recordings: list[Recording]) -> Vehicle | None:
+    """The vehicle of all recordings, None where there are several."""
+    first = recordings[0].vehicle
+    return first if all(recording.vehicle == first for recording in recordings) else None
+
+
+def _require_unique(names: list[str], folder: Path) -> None:
+    for name in names:
+        if names.count(name) > 1:
+            raise UsageError(f"{folder}: two logs are called {name}: rename one")

@@ -1,0 +1,178 @@
+"""Train a selector: split, folds, evaluation, and the artefact refitted on all recordings."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+
+from crosscomb.artefact import Artefact, FilterSettings
+from crosscomb.files import file_hash, versions
+from crosscomb.filters.catalogue import DEFAULT_FILTERS, make_filter, settings_of
+from crosscomb.models.vehicle import Vehicle
+from crosscomb.switch import SwitchSettings
+from crosscomb.training.bank import BankRun, run_bank
+from crosscomb.training.evaluate import Evaluation, evaluate
+from crosscomb.training.fit import SELECTORS, SelectorKind, fit_tree, to_tree
+from crosscomb.training.folds import Parts, grouped_folds, split_recordings
+from crosscomb.training.labels import Windows, concatenate
+from crosscomb.training.recordings import Recording, common_vehicle
+
+RATE = 100.0
+"""Default working rate [Hz]."""
+
+FALLBACK = "random_walk_pf"
+"""Active before the first decision (the paper's safe choice)."""
+
+
+@dataclass(frozen=True)
+class Training:
+    """What a training gave.
+
+    Attributes
+    ----------
+    artefact : Artefact
+        Fitted on all recordings; none of the evaluations below is of this tree.
+    folds : Evaluation
+        Each recording of the training part, judged by the tree of the fold that left it out.
+    validation, test : Evaluation
+        The 15 % and 10 % parts, judged by the tree of the 75 % part.
+    parts : Parts
+    depth : int
+        Chosen by the folds.
+    """
+
+    artefact: Artefact
+    folds: Evaluation
+    validation: Evaluation
+    test: Evaluation
+    parts: Parts
+    depth: int
+
+    @property
+    def evaluations(self) -> dict[str, Evaluation]:
+        """The three evaluations by name."""
+        return {"folds": self.folds, "validation": self.validation, "test": self.test}
+
+
+def train(
+    recordings: Sequence[Recording],
+    selector: str = "tree",
+    folds: int = 5,
+    seed: int = 0,
+    rate: float = RATE,
+    jobs: int = 1,
+    progress: Callable[[], None] | None = None,
+) -> Training:
+    """Train a selector on recordings with ground truth.
+
+    Parameters
+    ----------
+    recordings : sequence of Recording
+        At least seven.
+    selector : str
+        Key of `crosscomb.training.fit.SELECTORS`.
+    folds : int
+    seed : int
+        The same seed gives the same artefact bit for bit.
+    rate : float
+        Working rate [Hz].
+    jobs : int
+        Processes for the filters.
+    progress : callable, optional
+        Called after each recording.
+    """
+    kind = SELECTORS[selector]
+    filters = default_filters(recordings[0].vehicle)
+    banks = run_bank(recordings, filters, rate, kind.window, jobs, progress)
+    windows = [bank.windows(kind.window) for bank in banks]
+    base = _Base(kind, selector, rate, filters, common_vehicle(list(recordings)), seed)
+
+    parts = split_recordings(len(banks), seed)
+    pairs = grouped_folds(parts.training, folds, seed)
+    by_depth = {depth: _judge_folds(base, banks, windows, pairs, depth) for depth in kind.depths}
+    depth = min(by_depth, key=lambda d: by_depth[d].overall["rmse"]["switch"])
+    partly = base.fit(windows, parts.training, depth)
+    validation = evaluate([banks[i] for i in parts.validation], partly)
+    test = evaluate([banks[i] for i in parts.test], partly)
+
+    whole = base.fit(windows, list(range(len(banks))), depth)
+    record = _record(recordings, parts, seed, folds, depth, by_depth[depth], validation, test)
+    artefact = whole.model_copy(update={"training": record})
+    return Training(artefact, by_depth[depth], validation, test, parts, depth)
+
+
+def default_filters(vehicle: Vehicle) -> list[FilterSettings]:
+    """The paper's three filters with all their settings written out."""
+    return [
+        FilterSettings(name=name, settings=settings_of(make_filter(name, vehicle))) for name in DEFAULT_FILTERS
+    ]
+
+
+@dataclass(frozen=True)
+class _Base:
+    """What all trees of one training share."""
+
+    kind: SelectorKind
+    selector: str
+    rate: float
+    filters: list[FilterSettings]
+    vehicle: Vehicle | None
+    seed: int
+
+    def fit(self, windows: list[Windows], members: list[int], depth: int) -> Artefact:
+        """Fit a tree on the windows of some recordings and make an artefact of it."""
+        chosen = concatenate([windows[i] for i in members])
+        fitted = fit_tree(chosen, self.kind, depth, self.seed)
+        return Artefact(
+            selector_name=self.selector,
+            rate=self.rate,
+            window=self.kind.window,
+            filters=self.filters,
+            fallback=FALLBACK,
+            switch=SwitchSettings(),
+            tree=to_tree(fitted, chosen, len(self.filters)),
+            vehicle=self.vehicle,
+        )
+
+
+def _judge_folds(
+    base: _Base,
+    banks: list[BankRun],
+    windows: list[Windows],
+    pairs: list[tuple[list[int], list[int]]],
+    depth: int,
+) -> Evaluation:
+    """Evaluate each recording with the tree of the fold that left it out."""
+    parts = [evaluate([banks[i] for i in test], base.fit(windows, fit, depth)) for fit, test in pairs]
+    return Evaluation(pd.concat([part.table for part in parts]), np.sum([part.confusion for part in parts], axis=0))
+
+
+def _record(
+    recordings: Sequence[Recording],
+    parts: Parts,
+    seed: int,
+    folds: int,
+    depth: int,
+    cross: Evaluation,
+    validation: Evaluation,
+    test: Evaluation,
+) -> dict[str, object]:
+    """Record of a training for the artefact."""
+    names = [recording.name for recording in recordings]
+    return {
+        "seed": seed,
+        "folds": folds,
+        "depth": depth,
+        "versions": versions(),
+        "data": {recording.name: file_hash(recording.path) for recording in recordings},
+        "parts": {
+            part: [names[i] for i in getattr(parts, part)] for part in ("training", "validation", "test")
+        },
+        "rmse_deg": {
+            part: {str(k): round(float(v), 4) for k, v in evaluation.overall["rmse"].items()}
+            for part, evaluation in (("folds", cross), ("validation", validation), ("test", test))
+        },
+    }
