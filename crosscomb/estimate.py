@@ -11,15 +11,17 @@ import numpy as np
 import pandas as pd
 
 from crosscomb.artefact import Artefact
+from crosscomb.channel_map import ChannelMap
 from crosscomb.errors import UsageError
 from crosscomb.files import write_file
 from crosscomb.filters.base import KernelFilter, make_inputs
 from crosscomb.filters.catalogue import make_filter
+from crosscomb.logs import log_name, read_log
 from crosscomb.models.vehicle import Vehicle, load_vehicle
 from crosscomb.plausibility import check_units
 from crosscomb.prepare import complete
 from crosscomb.resample import Segment, resample, rows_to_grid
-from crosscomb.signals import MIN_SPEED, Signals
+from crosscomb.signals import MIN_SPEED, REFERENCES, Signals
 from crosscomb.switch import switch
 from crosscomb.windows import WindowSettings, window_features
 
@@ -28,6 +30,12 @@ STALE = 1.0
 
 REVERSE_SPEED = -0.3
 """Below this vx [m/s] the car reverses; speed sensors at rest read a little on either side of 0."""
+
+OUTPUTS = (".estimate.csv", ".estimate.png", ".run.json")
+"""Endings of what is written for a log."""
+
+GENERIC = "generic_compact"
+"""Shipped vehicle that stands in for an unknown car."""
 
 NEEDED = ("vx", "ax", "ay", "yaw_rate", "steer")
 """Channels that every sample should have; one missing makes the status degraded."""
@@ -200,7 +208,79 @@ def _age(missing: np.ndarray, rate: float) -> np.ndarray:
     return np.where(last < 0, np.inf, (index - last) / rate)
 
 
-def choose_vehicle(log: Path, given: Path | None, artefact: Artefact) -> tuple[Vehicle, str, str]:
+@dataclass(frozen=True)
+class OpenedLog:
+    """A log that was read and found fit to be estimated.
+
+    Attributes
+    ----------
+    path : Path
+    signals : Signals
+        As read.
+    vehicle : Vehicle
+    origin : str
+        Where the vehicle came from.
+    warnings : tuple of str
+    """
+
+    path: Path
+    signals: Signals
+    vehicle: Vehicle
+    origin: str
+    warnings: tuple[str, ...]
+
+
+def open_logs(
+    paths: Sequence[Path],
+    artefact: Artefact,
+    vehicle: str | Path | None = None,
+    channel_map: ChannelMap | None = None,
+    output: Path | None = None,
+) -> list[OpenedLog]:
+    """Read and check logs, all of them before anything is written.
+
+    Parameters
+    ----------
+    paths : sequence of Path
+    artefact : Artefact
+    vehicle : str or Path, optional
+        Vehicle file for all of them; else see `choose_vehicle`.
+    channel_map : ChannelMap, optional
+    output : Path, optional
+        Folder the estimates will go to: none of them may overwrite an input.
+
+    Raises
+    ------
+    UsageError
+        A log is broken or plainly in wrong units, two have one name, or an output would overwrite an input.
+    """
+    by_name: dict[str, Path] = {}
+    for path in paths:
+        name = log_name(path)
+        if name in by_name:
+            raise UsageError(f"{path}: has the same name as {by_name[name]}: estimate them in two calls")
+        by_name[name] = path
+    written = (
+        {(output / f"{name}{end}").resolve() for name in by_name for end in OUTPUTS} if output else set()
+    )
+    for path in paths:
+        if path.resolve() in written:
+            raise UsageError(f"{path}: would be overwritten by an estimate: choose another folder with -o")
+    return [_open_log(path, artefact, vehicle, channel_map) for path in paths]
+
+
+def _open_log(
+    path: Path, artefact: Artefact, vehicle: str | Path | None, channel_map: ChannelMap | None
+) -> OpenedLog:
+    signals = read_log(path, channel_map)
+    car, origin, warning = choose_vehicle(path, vehicle, artefact)
+    if origin == GENERIC:
+        require_road_wheel_angle(signals)
+    warnings = [*([warning] if warning else []), *require_plausible(signals, car)]
+    return OpenedLog(path, signals, car, origin, tuple(warnings))
+
+
+def choose_vehicle(log: Path, given: str | Path | None, artefact: Artefact) -> tuple[Vehicle, str, str]:
     """Find the vehicle of a log: given, beside the log, in the artefact, or the generic car.
 
     Returns
@@ -222,17 +302,17 @@ def choose_vehicle(log: Path, given: Path | None, artefact: Artefact) -> tuple[V
         f"{log}: no vehicle file: the generic compact car is taken, its beta can be far off: "
         f"give --vehicle, or write vehicle.toml beside the log with `crosscomb vehicle`"
     )
-    return load_vehicle("generic_compact"), "generic_compact", warning
+    return load_vehicle(GENERIC), GENERIC, warning
 
 
-def require_road_wheel_angle(signals: Signals, origin: str) -> None:
+def require_road_wheel_angle(signals: Signals) -> None:
     """Refuse a log that has only the hand-wheel angle when the car, and so its steering ratio, is unknown.
 
     Raises
     ------
     UsageError
     """
-    if origin == "generic_compact" and not signals.has("steer"):
+    if not signals.has("steer"):
         raise UsageError(
             f"{signals.source}: column steer is missing and steer_wheel needs the car's steering ratio: "
             f"give --vehicle, or map steer with scale = 1 / ratio (--map)"
@@ -250,7 +330,11 @@ def require_plausible(signals: Signals, vehicle: Vehicle) -> list[str]:
     for finding in findings:
         if finding.severity == "error":
             raise UsageError(f"{signals.source}: column {finding.column}: {finding.message}")
-    return [f"{signals.source}: column {finding.column}: {finding.message}" for finding in findings]
+    return [
+        f"{signals.source}: column {finding.column}: {finding.message}"
+        for finding in findings
+        if finding.column not in REFERENCES
+    ]
 
 
 def write_estimate(estimate: LogEstimate, path: Path) -> None:

@@ -120,7 +120,9 @@ def row_shares(confusion: np.ndarray) -> np.ndarray:
 def confusion_table(confusion: np.ndarray, names: Sequence[str]) -> pd.DataFrame:
     """Confusion matrix as a table: one row per best filter, counts and then row shares per selected one."""
     counts = pd.DataFrame(confusion, index=list(names), columns=[f"selected_{name}" for name in names])
-    shares = pd.DataFrame(row_shares(confusion), index=list(names), columns=[f"share_{name}" for name in names])
+    shares = pd.DataFrame(
+        row_shares(confusion), index=list(names), columns=[f"share_{name}" for name in names]
+    )
     return pd.concat([counts, shares], axis=1).rename_axis("best")
 
 
@@ -135,7 +137,10 @@ def write_training(training: Training, artefact_path: Path, notes: Sequence[str]
     folder = artefact_path.parent
     names = training.artefact.filter_names
     confusion = training.folds.confusion
-    paths = [folder / name for name in ("report.html", "confusion_matrix.csv", "confusion_matrix.png", "metrics.json")]
+    paths = [
+        folder / name
+        for name in ("report.html", "confusion_matrix.csv", "confusion_matrix.png", "metrics.json")
+    ]
     write_file(paths[1], lambda path: confusion_table(confusion, names).to_csv(path, lineterminator="\n"))
     _save(confusion_figure(confusion, names), paths[2])
     write_text(paths[3], metrics_json(training))
@@ -198,9 +203,13 @@ def training_page(training: Training, artefact_name: str, notes: Sequence[str]) 
         blocks.append(_recordings_html(evaluation))
     image = _as_png(confusion_figure(training.folds.confusion, training.artefact.filter_names))
     blocks.append("<h2>Confusion matrix of the folds</h2>")
-    blocks.append(f'<img alt="confusion matrix" src="data:image/png;base64,{base64.b64encode(image).decode()}">')
+    blocks.append(
+        f'<img alt="confusion matrix" src="data:image/png;base64,{base64.b64encode(image).decode()}">'
+    )
     if notes:
-        blocks.append("<h2>Notes</h2><ul>" + "".join(f"<li>{html.escape(note)}</li>" for note in notes) + "</ul>")
+        blocks.append(
+            "<h2>Notes</h2><ul>" + "".join(f"<li>{html.escape(note)}</li>" for note in notes) + "</ul>"
+        )
     blocks.append("<h2>Parts</h2>")
     for part, members in record["parts"].items():
         blocks.append(f"<p><b>{part}</b>: {html.escape(', '.join(members))}</p>")
@@ -227,7 +236,9 @@ def _overall_html(evaluation: Evaluation) -> str:
 def _recordings_html(evaluation: Evaluation) -> str:
     rmse = evaluation.table.xs("rmse", axis=1, level=1)
     head = "".join(f"<th>{html.escape(str(name))}</th>" for name in rmse.columns)
-    rows = "".join(f"<tr><th>{html.escape(str(name))}</th>{_cells(row)}</tr>" for name, row in rmse.iterrows())
+    rows = "".join(
+        f"<tr><th>{html.escape(str(name))}</th>{_cells(row)}</tr>" for name, row in rmse.iterrows()
+    )
     return f"<table><thead><tr><th>RMSE [deg]</th>{head}</tr></thead><tbody>{rows}</tbody></table>"
 
 

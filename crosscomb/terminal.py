@@ -2,20 +2,30 @@
 
 from __future__ import annotations
 
+import math
+import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
+import numpy as np
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
+from crosscomb.results import score_rows
+from crosscomb.signals import UNITS, Signals
+
 if TYPE_CHECKING:
-    import numpy as np
     import pandas as pd
 
-# Wide enough for a table in a file or a pipe, where rich cannot ask the terminal.
-console = Console(highlight=False, soft_wrap=True)
+    from crosscomb.training.benchmark import Benchmark
+    from crosscomb.training.metrics import Score
+
+PIPE_WIDTH = 150
+"""Columns of a table in a file or a pipe, which has no width of its own."""
+
+console = Console(highlight=False, soft_wrap=True, width=None if sys.stdout.isatty() else PIPE_WIDTH)
 errors = Console(stderr=True, highlight=False, soft_wrap=True)
 
 
@@ -45,19 +55,55 @@ def show(title: str, header: Sequence[str], rows: Sequence[Sequence[str]], left:
         table.add_column(name, justify="left" if i < left else "right", overflow="fold")
     for row in rows:
         table.add_row(*row)
-    console.print(table, markup=False)
+    console.print(table)
 
 
-def show_scores(title: str, rmse: pd.DataFrame, largest: pd.DataFrame, last: str = "mean") -> None:
+def show_scores(title: str, rmse: pd.DataFrame, largest: pd.DataFrame) -> None:
     """Print RMSE / largest error [deg], recordings as rows and estimators as columns, with a summary row."""
+    summaries = {"mean / largest": list(rmse.index)} if len(rmse) > 1 else {}
+    show(title, ["RMSE / max [deg]", *map(str, rmse.columns)], score_rows(rmse, largest, summaries))
+
+
+def show_benchmark(result: Benchmark) -> None:
+    """Print the scores of a benchmark."""
+    table = result.evaluation.table
+    rmse, largest = table.xs("rmse", axis=1, level=1), table.xs("max", axis=1, level=1)
+    rows = score_rows(rmse, largest, result.summaries)
+    show("Accuracy", ["RMSE / max [deg]", *map(str, rmse.columns)], rows)
+
+
+def show_log_scores(scores: dict[str, dict[str, Score]]) -> None:
+    """Print RMSE / largest error [deg] of each estimator on each log."""
+    estimators = list(next(iter(scores.values())))
     rows = [
-        [str(name), *(f"{rmse.at[name, e]:.2f} / {largest.at[name, e]:.1f}" for e in rmse.columns)]
-        for name in rmse.index
+        [
+            log,
+            *(
+                f"{math.degrees(score.rmse):.2f} / {math.degrees(score.max_error):.1f}"
+                for score in each.values()
+            ),
+        ]
+        for log, each in scores.items()
     ]
-    if len(rows) > 1:
-        mean, most = rmse.mean(), largest.max()
-        rows.append([f"[b]{last}[/b]", *(f"{mean[e]:.2f} / {most[e]:.1f}" for e in rmse.columns)])
-    show(title, ["RMSE / max [deg]", *map(str, rmse.columns)], rows)
+    show("Error against the logs' ground truth", ["RMSE / max [deg]", *estimators], rows)
+
+
+def show_signals(signals: Signals) -> None:
+    """Print what is in a log: each channel's unit, coverage and range."""
+    t = signals.t
+    say(
+        f"{signals.source}: {len(signals)} rows, {t[-1] - t[0]:.1f} s, median step {np.median(np.diff(t)):.4g} s"
+    )
+    rows = []
+    for name in signals.frame.columns.drop("t"):
+        values = signals.column(name)
+        there = values[np.isfinite(values)]
+        share = f"{100 * len(there) / len(values):.1f} %"
+        low, high = (f"{there.min():.4g}", f"{there.max():.4g}") if there.size else ("", "")
+        rows.append([name, UNITS[name], share, low, high])
+    show("Channels", ["channel", "unit", "measured", "least", "largest"], rows, left=2)
+    absent = [name for name in UNITS if name not in signals.frame]
+    say(f"not in the log: {', '.join(absent)}" if absent else "every known channel is there")
 
 
 def show_confusion(confusion: np.ndarray, shares: np.ndarray, names: Sequence[str]) -> None:
@@ -66,4 +112,8 @@ def show_confusion(confusion: np.ndarray, shares: np.ndarray, names: Sequence[st
         [names[i], *(f"{confusion[i, j]} ({100 * shares[i, j]:.0f} %)" for j in range(len(names)))]
         for i in range(len(names))
     ]
-    show("Confusion matrix of the folds: windows by best filter (rows) and selected filter", ["best", *names], rows)
+    show(
+        "Confusion matrix of the folds: windows by best filter (rows) and selected filter",
+        ["best", *names],
+        rows,
+    )

@@ -14,7 +14,7 @@ from typing import NamedTuple
 from numba import njit
 
 from crosscomb.filters.base import (
-    AX, AY, BETA, BETA_STD, FXF, FXR, MAX_BETA, NIS, STEER, STEER_REAR, VX, YAW_RATE,
+    AX, AY, BETA, BETA_STD, FXF, FXR, MAX_BETA, NIS, STEER, STEER_HELD, STEER_REAR, VX, YAW_RATE,
     KernelFilter, below_gate, low_speed_answer, propagate, scalar_update,
 )  # fmt: skip
 from crosscomb.models.single_track import single_track_rates, stable_substeps
@@ -27,6 +27,7 @@ class DynamicNoise(NamedTuple):
     slip_rate: float = 0.04  # model error [rad/s per sqrt(Hz)]
     yaw_rate: float = 0.02  # measured yaw rate [rad/s]
     ay: float = 2.0  # measured ay, with what the tyre law gets wrong [m/s^2]
+    missing_steer: float = 0.06  # error of a held steering angle, lasting about a second [rad]
 
 
 @njit(cache=True)
@@ -36,6 +37,10 @@ def dynamic_predict(state, sample, car, noise, dt):
     vx = sample[VX]
     ax = sample[AX] if math.isfinite(sample[AX]) else 0.0
     ay = sample[AY] if math.isfinite(sample[AY]) else 0.0
+    # The error of a held steering angle acts through the front tyres. It lasts about a second, so as white noise
+    # its density is its size.
+    wrong_force = noise.missing_steer * sample[STEER_HELD] * car.stiffness_front
+    wrong_yaw, wrong_slip = wrong_force * car.a / car.yaw_inertia, wrong_force / (car.mass * vx)
     steps = stable_substeps(vx, dt, car)
     h = dt / steps
     for _ in range(steps):
@@ -47,7 +52,9 @@ def dynamic_predict(state, sample, car, noise, dt):
         mean[1] = min(max(mean[1] + h * rates[1], -MAX_BETA), MAX_BETA)
         propagate(
             state.cov, 1.0 + h * yaw_r, h * yaw_b, h * slip_r, 1.0 + h * slip_b,
-            noise.yaw_acceleration**2 * h, 0.0, noise.slip_rate**2 * h,
+            (noise.yaw_acceleration**2 + wrong_yaw**2) * h,
+            wrong_yaw * wrong_slip * h,
+            (noise.slip_rate**2 + wrong_slip**2) * h,
         )  # fmt: skip
 
 
@@ -75,12 +82,13 @@ def dynamic_update(state, sample, car, noise):
         car,
     )
     ay_r, ay_b = jacobian[3], jacobian[7]
+    wrong_ay = noise.missing_steer * sample[STEER_HELD] * car.stiffness_front / car.mass
     nis = math.nan
     if math.isfinite(sample[YAW_RATE]):
         nis = scalar_update(state, 1.0, 0.0, sample[YAW_RATE] - yaw_prior, noise.yaw_rate**2)
     if math.isfinite(sample[AY]):
         expected = measured[1] + ay_r * (mean[0] - yaw_prior) + ay_b * (mean[1] - beta_prior)
-        part = scalar_update(state, ay_r, ay_b, sample[AY] - expected, noise.ay**2)
+        part = scalar_update(state, ay_r, ay_b, sample[AY] - expected, noise.ay**2 + wrong_ay**2)
         nis = part if math.isnan(nis) else nis + part
     mean[1] = min(max(mean[1], -MAX_BETA), MAX_BETA)
     return nis

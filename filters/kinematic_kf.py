@@ -18,6 +18,7 @@ from crosscomb.filters.base import (
     KernelFilter, below_gate, low_speed_answer, propagate, scalar_update,
 )  # fmt: skip
 from crosscomb.models.kinematic import input_gain, rotation
+from crosscomb.signals import MIN_SPEED
 
 
 class KinematicNoise(NamedTuple):
@@ -63,9 +64,11 @@ def kinematic_step(state, sample, car, noise, dt, out):
         state.running[0] = 1
         return
     kinematic_predict(state, sample[AX], sample[AY], sample[YAW_RATE], noise, dt)
-    out[NIS] = math.nan
     if sample[VX_HELD] == 0.0:
         out[NIS] = scalar_update(state, 1.0, 0.0, vx - mean[0], noise.speed**2)
+    else:
+        out[NIS] = math.nan
+        mean[0] = max(mean[0], MIN_SPEED)  # the gate cannot see the car stop
     speed2 = mean[0] * mean[0] + mean[1] * mean[1]
     out[BETA] = math.atan2(mean[1], mean[0])
     # beta = atan2(vy, vx): its gradient is [-vy, vx] / V^2

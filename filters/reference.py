@@ -20,6 +20,7 @@ from crosscomb.filters.kinematic_kf import KinematicKF
 from crosscomb.filters.random_walk_pf import FIRST_SPREAD, RandomWalkPF
 from crosscomb.models.kinematic import input_gain, rotation
 from crosscomb.models.single_track import SingleTrack, body_rates, single_track_rates, stable_substeps
+from crosscomb.signals import MIN_SPEED
 
 
 def reference_kinematic_kf(estimator: KinematicKF, inputs: Inputs) -> Estimate:
@@ -51,10 +52,15 @@ def reference_kinematic_kf(estimator: KinematicKF, inputs: Inputs) -> Estimate:
             F=np.array(rotation(yaw_rate, dt)).reshape(2, 2) @ forget,
             Q=density**2 * dt,
         )
-        kf.update(vx)
+        if sample[base.VX_HELD]:
+            kf.update(None)
+            kf.x[0] = max(kf.x[0], MIN_SPEED)
+        else:
+            kf.update(vx)
         vx, vy = kf.x[:, 0].tolist()
         gradient = np.array([-vy, vx]) / (vx**2 + vy**2)
-        return math.atan2(vy, vx), math.sqrt(gradient @ kf.P @ gradient), _nis(kf)
+        nis = math.nan if sample[base.VX_HELD] else _nis(kf)
+        return math.atan2(vy, vx), math.sqrt(gradient @ kf.P @ gradient), nis
 
     return _walk(inputs, estimator.car, start, step)
 
@@ -78,12 +84,11 @@ def reference_dynamic_ekf(estimator: DynamicEKF, inputs: Inputs) -> Estimate:
     """
     noise, car = estimator.noise, estimator.car
     density = np.diag([noise.yaw_acceleration**2, noise.slip_rate**2])
-    measured_variance = np.diag([noise.yaw_rate**2, noise.ay**2])
     ekf = _SingleTrackEKF(dim_x=2, dim_z=2)
 
     def model(sample: np.ndarray) -> tuple[np.ndarray, float, np.ndarray]:
         """Rates (2,), expected ay and the Jacobian (4, 2) of the rates, ax and ay at the filter's state."""
-        vx, ax, ay, _, steer, steer_rear, fxf, fxr = sample.tolist()
+        vx, ax, ay, _, steer, steer_rear, fxf, fxr, *_ = sample.tolist()
         yaw_rate, beta = ekf.x.tolist()
         ax, ay = (value if math.isfinite(value) else 0.0 for value in (ax, ay))
         rates, (_, expected_ay), jacobian = single_track_rates(
@@ -101,7 +106,11 @@ def reference_dynamic_ekf(estimator: DynamicEKF, inputs: Inputs) -> Estimate:
     def step(sample: np.ndarray) -> tuple[float, float, float]:
         steps = stable_substeps(sample[base.VX], inputs.dt, car)
         h = inputs.dt / steps
+        wrong_force = noise.missing_steer * sample[base.STEER_HELD] * car.stiffness_front
         ekf.Q = h * density
+        if wrong_force > 0.0:
+            wrong = wrong_force * np.array([car.a / car.yaw_inertia, 1.0 / (car.mass * sample[base.VX])])
+            ekf.Q += h * np.outer(wrong, wrong)
         for _ in range(steps):
             rates, _, jacobian = model(sample)
             ekf.F = np.eye(2) + h * jacobian[:2]
@@ -114,7 +123,8 @@ def reference_dynamic_ekf(estimator: DynamicEKF, inputs: Inputs) -> Estimate:
         _, expected_ay, jacobian = model(sample)
         expected = np.array([ekf.x[0], expected_ay])[there]
         h_matrix = np.array([[1.0, 0.0], jacobian[3]])[there]
-        ekf.update(z[there], lambda _: h_matrix, lambda _: expected, R=measured_variance[there][:, there])
+        variance = np.diag([noise.yaw_rate**2, noise.ay**2 + (wrong_force / car.mass) ** 2])[there][:, there]
+        ekf.update(z[there], lambda _: h_matrix, lambda _: expected, R=variance)
         hold_beta()
         return ekf.x[1], math.sqrt(ekf.P[1, 1]), _nis(ekf)
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from crosscomb.estimate import LogEstimate
 from crosscomb.signals import MIN_SPEED
 
 
@@ -48,3 +49,11 @@ def coverage(beta: np.ndarray, beta_std: np.ndarray, beta_ref: np.ndarray, count
     """Share of the counted samples whose truth lies within 1.96 standard deviations."""
     inside = np.abs(beta - beta_ref)[counted] <= 1.96 * beta_std[counted]
     return float(np.mean(inside)) if inside.size else float("nan")
+
+
+def score_log(estimate: LogEstimate) -> dict[str, Score]:
+    """Score each filter and the switch of one log against its ground truth, with beta = 0 beside them."""
+    beta_ref = estimate.signals.beta_ref
+    counted = countable(beta_ref, estimate.signals.column("vx"))
+    estimates = {"zero": np.zeros(len(beta_ref)), **estimate.filters, "crosscomb": estimate.beta}
+    return {name: score(beta, beta_ref, counted) for name, beta in estimates.items()}

@@ -43,7 +43,7 @@ def find_logs(folder: Path) -> list[Path]:
 
 
 def read_recordings(
-    folder: Path, vehicle: Path | None = None, channel_map: ChannelMap | None = None
+    folder: Path, vehicle: str | Path | None = None, channel_map: ChannelMap | None = None
 ) -> tuple[list[Recording], list[str]]:
     """Read all recordings of a data folder and of its sub-folders, one per vehicle.
 
@@ -51,8 +51,8 @@ def read_recordings(
     ----------
     folder : Path
         Logs directly in it, or sub-folders each with logs and a ``vehicle.toml``.
-    vehicle : Path, optional
-        Vehicle file that holds for all logs.
+    vehicle : str or Path, optional
+        Vehicle file, or name of a shipped one, that holds for all logs.
     channel_map : ChannelMap, optional
 
     Returns

@@ -107,7 +107,8 @@ def train(
 def default_filters(vehicle: Vehicle) -> list[FilterSettings]:
     """The paper's three filters with all their settings written out."""
     return [
-        FilterSettings(name=name, settings=settings_of(make_filter(name, vehicle))) for name in DEFAULT_FILTERS
+        FilterSettings(name=name, settings=settings_of(make_filter(name, vehicle)))
+        for name in DEFAULT_FILTERS
     ]
 
 
@@ -147,7 +148,9 @@ def _judge_folds(
 ) -> Evaluation:
     """Evaluate each recording with the tree of the fold that left it out."""
     parts = [evaluate([banks[i] for i in test], base.fit(windows, fit, depth)) for fit, test in pairs]
-    return Evaluation(pd.concat([part.table for part in parts]), np.sum([part.confusion for part in parts], axis=0))
+    return Evaluation(
+        pd.concat([part.table for part in parts]), np.sum([part.confusion for part in parts], axis=0)
+    )
 
 
 def _record(

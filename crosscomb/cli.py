@@ -1,0 +1,329 @@
+"""The commands. Each imports what it needs only when it runs: `--help` starts at once."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from crosscomb import __version__
+from crosscomb.errors import UsageError
+
+app = typer.Typer(
+    add_completion=False,
+    no_args_is_help=True,
+    rich_markup_mode=None,
+    pretty_exceptions_enable=False,
+    help="Virtual sensor for the vehicle sideslip angle.",
+)
+
+VehicleOption = Annotated[
+    str | None, typer.Option("--vehicle", help="Vehicle file (TOML), or the name of a shipped one.")
+]
+MapOption = Annotated[
+    Path | None, typer.Option("--map", help="Channel map (TOML) for foreign names and units.")
+]
+SelectorFileOption = Annotated[
+    Path | None,
+    typer.Option("--selector-file", help="Artefact of `crosscomb train`; default: the one shipped."),
+]
+SeedOption = Annotated[
+    int, typer.Option("--seed", min=0, help="The same seed gives the same result bit for bit.")
+]
+JobsOption = Annotated[int, typer.Option("--jobs", min=1, help="Processes; does not change the result.")]
+
+
+def main() -> None:
+    """Run the command line: errors of use become one line and exit code 2."""
+    try:
+        code = app(standalone_mode=False)
+    except UsageError as error:
+        print(f"error: {error}", file=sys.stderr)
+        sys.exit(2)
+    except (typer.Abort, KeyboardInterrupt):
+        print("error: interrupted", file=sys.stderr)
+        sys.exit(130)
+    except Exception as error:
+        # typer brings its own copy of click in some versions: its errors are known by what they can do
+        if not hasattr(error, "format_message"):
+            raise
+        print(f"error: {error.format_message()} (see --help)", file=sys.stderr)
+        sys.exit(2)
+    sys.exit(code if isinstance(code, int) else 0)
+
+
+def _version(asked: bool) -> None:
+    if asked:
+        typer.echo(__version__)
+        raise typer.Exit
+
+
+@app.callback()
+def _options(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version.")
+    ] = False,
+) -> None:
+    pass
+
+
+@app.command()
+def filters() -> None:
+    """List the estimators that can be put into the switch."""
+    from crosscomb.filters.catalogue import CATALOGUE
+    from crosscomb.terminal import show
+
+    rows = [[name, entry.summary, entry.source] for name, entry in CATALOGUE.items()]
+    show("Estimators", ["name", "what it is", "source"], rows, left=3)
+
+
+@app.command()
+def vehicle(
+    name: Annotated[str, typer.Argument(help="Name of the car.")],
+    mass: Annotated[float, typer.Option(help="Mass with driver [kg].")],
+    wheelbase: Annotated[float, typer.Option(help="[m]")],
+    front_share: Annotated[float, typer.Option(help="Share of the weight on the front axle, 0 to 1.")],
+    output: Annotated[Path, typer.Option("-o", "--output", help="Vehicle file to write.")] = Path(
+        "vehicle.toml"
+    ),
+    steering_ratio: Annotated[float | None, typer.Option(help="Hand wheel to road wheel.")] = None,
+    track: Annotated[float | None, typer.Option(help="[m]")] = None,
+    cg_height: Annotated[float | None, typer.Option(help="Height of the centre of gravity [m].")] = None,
+    wheel_radius: Annotated[float | None, typer.Option(help="[m]")] = None,
+    force: Annotated[bool, typer.Option("--force", help="Replace an existing file.")] = False,
+) -> None:
+    """Write a vehicle file from mass, wheelbase and weight share, with stated estimates for the rest."""
+    from crosscomb.files import write_text
+    from crosscomb.models.vehicle_estimates import vehicle_from_basics
+    from crosscomb.terminal import say
+
+    if output.exists() and not force:
+        raise UsageError(f"{output}: exists already: choose another name or use --force")
+    _, text = vehicle_from_basics(
+        name, mass, wheelbase, front_share,
+        steering_ratio=steering_ratio, track=track, cg_height=cg_height, wheel_radius=wheel_radius,
+    )  # fmt: skip
+    write_text(output, text)
+    say(f"{output}: written; the estimated lines say how they were estimated: replace what you know better")
+
+
+@app.command()
+def simulate(
+    out_dir: Annotated[Path, typer.Argument(help="Folder for the logs.")],
+    vehicle: VehicleOption = None,
+    seed: SeedOption = 0,
+    logs: Annotated[int, typer.Option("--logs", min=1, max=100_000, help="Number of logs.")] = 40,
+    force: Annotated[bool, typer.Option("--force", help="Replace earlier simulated logs.")] = False,
+    jobs: JobsOption = 2,
+) -> None:
+    """Write labelled logs from the simulation plant."""
+    from crosscomb import terminal
+    from crosscomb.files import run_record, write_json
+    from crosscomb.models.vehicle import load_vehicle
+    from crosscomb.training.simulate import simulate_data_set
+
+    car = load_vehicle(vehicle or "generic_compact")
+    with terminal.progress("simulating", logs) as advance:
+        paths = simulate_data_set(car, out_dir, seed, logs, force=force, jobs=jobs, progress=advance)
+    settings = {"vehicle": car.model_dump(), "seed": seed, "logs": logs}
+    write_json(out_dir / "simulate.run.json", run_record("simulate", settings, []))
+    terminal.say(f"{out_dir}: {len(paths)} logs of {car.name}, what is in them stands in dataset.json")
+
+
+@app.command()
+def train(
+    data_dir: Annotated[
+        Path, typer.Argument(help="Logs with ground truth; sub-folders hold one vehicle each.")
+    ],
+    vehicle: VehicleOption = None,
+    output: Annotated[Path, typer.Option("-o", "--output", help="Artefact to write.")] = Path(
+        "selector.json"
+    ),
+    selector: Annotated[str, typer.Option("--selector", help="Kind of selector: tree or paper.")] = "tree",
+    folds: Annotated[int, typer.Option("--folds", min=2, max=50, help="Grouped folds, by recording.")] = 5,
+    seed: SeedOption = 0,
+    rate: Annotated[float, typer.Option("--rate", min=10.0, max=1000.0, help="Working rate [Hz].")] = 100.0,
+    channel_map: MapOption = None,
+    jobs: JobsOption = 2,
+) -> None:
+    """Train a selector, cross-validate it, and write the artefact and its report."""
+    from crosscomb import terminal
+    from crosscomb.artefact import save_artefact
+    from crosscomb.channel_map import load_map
+    from crosscomb.files import run_record, write_json
+    from crosscomb.report import row_shares, write_training
+    from crosscomb.training.fit import SELECTORS
+    from crosscomb.training.recordings import read_recordings, require_enough
+    from crosscomb.training.train import train as run_training
+
+    if selector not in SELECTORS:
+        raise UsageError(f"--selector {selector}: unknown: take one of {', '.join(SELECTORS)}")
+    if output.suffix != ".json":
+        raise UsageError(f"{output}: an artefact is a JSON file: let its name end in .json")
+    recordings, notes = read_recordings(data_dir, vehicle, load_map(channel_map) if channel_map else None)
+    for note in notes:
+        terminal.warn(note)
+    require_enough(recordings, data_dir)
+    with terminal.progress("filtering", len(recordings)) as advance:
+        training = run_training(recordings, selector, folds, seed, rate, jobs, advance)
+    save_artefact(training.artefact, output)
+    paths = write_training(training, output, notes)
+    settings = {"selector": selector, "folds": folds, "seed": seed, "rate": rate, "vehicle": vehicle}
+    record = run_record("train", settings, [recording.path for recording in recordings])
+    write_json(output.with_suffix(".run.json"), record)
+
+    for part, evaluation in training.evaluations.items():
+        table = evaluation.table
+        terminal.show_scores(
+            f"{part}: {len(table)} recordings",
+            table.xs("rmse", axis=1, level=1),
+            table.xs("max", axis=1, level=1),
+        )
+        terminal.say(
+            f"{part}: switch / best single filter ({evaluation.best_single}) = {evaluation.ratio:.3f}\n"
+        )
+    names = training.artefact.filter_names
+    terminal.show_confusion(training.folds.confusion, row_shares(training.folds.confusion), names)
+    terminal.say(f"written: {output}, {', '.join(path.name for path in paths)}")
+
+
+@app.command()
+def estimate(
+    logs: Annotated[list[Path], typer.Argument(help="Logs (.csv or .csv.gz).")],
+    selector_file: SelectorFileOption = None,
+    vehicle: VehicleOption = None,
+    channel_map: MapOption = None,
+    output: Annotated[Path, typer.Option("-o", "--output", help="Folder for the estimates.")] = Path(
+        "estimates"
+    ),
+    plot: Annotated[
+        bool, typer.Option("--plot", help="Also draw beta, its band and the active filter.")
+    ] = False,
+) -> None:
+    """Estimate the sideslip angle of logs; with ground truth in them, also score it."""
+    from crosscomb import terminal
+    from crosscomb.artefact import load_artefact
+    from crosscomb.channel_map import load_map
+    from crosscomb.estimate import estimate_log, open_logs, write_estimate
+    from crosscomb.files import run_record, write_json
+    from crosscomb.training.metrics import score_log
+
+    artefact = load_artefact(selector_file)
+    opened = open_logs(logs, artefact, vehicle, load_map(channel_map) if channel_map else None, output)
+    scores = {}
+    for log in opened:
+        for warning in log.warnings:
+            terminal.warn(warning)
+        result = estimate_log(log.signals, log.vehicle, artefact)
+        name = log.signals.name
+        write_estimate(result, output / f"{name}.estimate.csv")
+        settings = {
+            "artefact": str(selector_file or "shipped"), "vehicle": log.vehicle.model_dump(),
+            "vehicle_from": log.origin, "notes": list(result.signals.notes),
+        }  # fmt: skip
+        extra = [path for path in (selector_file, channel_map) if path]
+        write_json(output / f"{name}.run.json", run_record("estimate", settings, [log.path, *extra]))
+        if plot:
+            from crosscomb.report import plot_estimate
+
+            plot_estimate(result, output / f"{name}.estimate.png", f"{name}, {log.vehicle.name}")
+        for note in result.signals.notes:
+            terminal.say(f"{name}: {note}")
+        if result.signals.has_reference:
+            scores[name] = score_log(result)
+        else:
+            terminal.say(f"{name}: no ground truth, not scored")
+    if scores:
+        terminal.show_log_scores(scores)
+    terminal.say(f"{output}: {len(opened)} estimates written")
+
+
+@app.command()
+def check(
+    log: Annotated[Path, typer.Argument(help="Log (.csv or .csv.gz).")],
+    vehicle: VehicleOption = None,
+    channel_map: MapOption = None,
+) -> None:
+    """Say what is in a log, what is missing and what looks wrong; exit code 2 if it would be refused."""
+    from crosscomb import terminal
+    from crosscomb.artefact import load_artefact
+    from crosscomb.channel_map import load_map
+    from crosscomb.estimate import choose_vehicle
+    from crosscomb.logs import read_log
+    from crosscomb.plausibility import check_units
+
+    signals = read_log(log, load_map(channel_map) if channel_map else None)
+    car, origin, warning = choose_vehicle(log, vehicle, load_artefact())
+    terminal.show_signals(signals)
+    terminal.say(f"vehicle: {car.name} ({origin})")
+    findings = check_units(signals, car)
+    for note in signals.notes:
+        terminal.say(f"note: {note}")
+    if warning:
+        terminal.warn(warning)
+    for finding in findings:
+        terminal.say(f"{finding.severity}: column {finding.column}: {finding.message}")
+    if any(finding.severity == "error" for finding in findings):
+        raise typer.Exit(2)
+    terminal.say("nothing plainly wrong" if findings else "nothing wrong found")
+
+
+@app.command()
+def benchmark(
+    suite: Annotated[str, typer.Argument(help="real or simulated.")] = "simulated",
+    data: Annotated[
+        Path | None, typer.Option("--data", help="Folder of real logs, for the suite real.")
+    ] = None,
+    selector_file: SelectorFileOption = None,
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", help="Markdown file to keep the tables in.")
+    ] = None,
+    jobs: JobsOption = 2,
+) -> None:
+    """Print accuracy and speed of all estimators."""
+    from crosscomb import terminal
+    from crosscomb.artefact import load_artefact
+    from crosscomb.results import write_benchmark
+    from crosscomb.training import benchmark as suites
+
+    artefact = load_artefact(selector_file)
+    if suite == "real":
+        if data is None:
+            raise UsageError("benchmark real: needs the folder of the logs: give --data")
+        with terminal.progress("filtering", len(list(data.glob("*/*.csv*")))) as advance:
+            result = suites.benchmark_real(data, artefact, jobs, advance)
+    elif suite == "simulated":
+        with terminal.progress("filtering", suites.SIMULATED_LOGS) as advance:
+            result = suites.benchmark_simulated(artefact, jobs, advance)
+    else:
+        raise UsageError(f"benchmark {suite}: unknown suite: take real or simulated")
+    for note in result.notes:
+        terminal.warn(note)
+    terminal.show_benchmark(result)
+    speeds = suites.filter_speeds(artefact)
+    terminal.show("Speed", ["filter", "us per sample"], [[name, f"{us:.2f}"] for name, us in speeds.items()])
+    if output is not None:
+        write_benchmark(output, suite, result, speeds)
+        terminal.say(f"{output}: section {suite} written")
+
+
+@app.command()
+def demo(
+    output: Annotated[
+        Path, typer.Option("-o", "--output", help="Folder for everything the demo makes.")
+    ] = Path("crosscomb-demo"),
+) -> None:
+    """Simulate, train and estimate on a small set, in under a minute."""
+    from crosscomb import terminal
+
+    logs, unseen, selector = output / "logs", output / "unseen", output / "selector.json"
+    simulate(logs, vehicle=None, seed=1, logs=18, force=True, jobs=2)
+    train(logs, output=selector, jobs=2)
+    simulate(unseen, vehicle=None, seed=2, logs=3, force=True, jobs=2)
+    fresh = sorted(unseen.glob("*.csv.gz"))
+    estimate(fresh, selector_file=selector, output=output / "estimates", plot=True)
+    terminal.say(
+        f"look at {output / 'estimates'} (pictures) and {output / 'report.html'} (how well it was trained)"
+    )

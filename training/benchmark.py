@@ -1,0 +1,113 @@
+"""Accuracy and speed of all estimators, on real and on simulated logs."""
+
+from __future__ import annotations
+
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from crosscomb.artefact import Artefact
+from crosscomb.estimate import make_filters
+from crosscomb.filters.base import make_inputs
+from crosscomb.models.vehicle import load_vehicle
+from crosscomb.resample import resample
+from crosscomb.training.bank import run_bank
+from crosscomb.training.evaluate import Evaluation, evaluate
+from crosscomb.training.recordings import Recording, read_recordings
+from crosscomb.training.simulate import simulate_data_set, simulate_log
+
+SHARED_SET = (
+    "kth_volvo_s90/slalom_30kph",
+    "kth_volvo_s90/stepsteer_left_100kph",
+    "kth_volvo_v40/slalom_35kph",
+    "kth_volvo_v40/sine_with_dwell_80kph",
+    "revs_ferrari_250lm/targa66_20140222_01_part1",
+    "stanford_gti_2018/oval_aa",
+    "stanford_gti_2018/oval_ab",
+    "stanford_gti_2018/oval_ad",
+    "stanford_gti_2019/high_speed_1",
+    "stanford_gti_2019/low_speed",
+    "stanford_gti_2019/double_lane_change_1",
+    "stanford_gti_2019/double_lane_change_2",
+)
+"""The real recordings that results are compared on; others are reported beside them."""
+
+SIMULATED_LOGS = 24
+SIMULATED_SEED = 987_654
+"""Far from the seeds that people choose, so that no training has seen these logs."""
+
+
+@dataclass(frozen=True)
+class Benchmark:
+    """Scores on a set of recordings.
+
+    Attributes
+    ----------
+    evaluation : Evaluation
+    summaries : dict of str to list of str
+        Named sets of recordings to take the mean over.
+    notes : list of str
+    """
+
+    evaluation: Evaluation
+    summaries: dict[str, list[str]]
+    notes: list[str]
+
+
+def benchmark_real(
+    folder: Path, artefact: Artefact, jobs: int = 1, progress: Callable[[], None] | None = None
+) -> Benchmark:
+    """Score all estimators on every recording with ground truth in a folder of real logs."""
+    recordings, notes = read_recordings(folder)
+    evaluation = _evaluate(recordings, artefact, jobs, progress)
+    names = [recording.name for recording in recordings]
+    shared = [name for name in SHARED_SET if name in names]
+    if len(shared) == len(SHARED_SET):
+        others = [name for name in names if name not in shared]
+        summaries = {f"shared set ({len(shared)})": shared, f"others ({len(others)})": others}
+    else:
+        summaries = {f"all ({len(names)})": names}
+    return Benchmark(evaluation, {text: members for text, members in summaries.items() if members}, notes)
+
+
+def benchmark_simulated(
+    artefact: Artefact, jobs: int = 1, progress: Callable[[], None] | None = None
+) -> Benchmark:
+    """Score all estimators on freshly simulated logs of the generic compact car."""
+    with tempfile.TemporaryDirectory() as folder:
+        simulate_data_set(
+            load_vehicle("generic_compact"), Path(folder), SIMULATED_SEED, SIMULATED_LOGS, jobs=jobs
+        )
+        recordings, notes = read_recordings(Path(folder))
+    evaluation = _evaluate(recordings, artefact, jobs, progress)
+    return Benchmark(evaluation, {f"all ({len(recordings)})": [r.name for r in recordings]}, notes)
+
+
+def _evaluate(
+    recordings: list[Recording], artefact: Artefact, jobs: int, progress: Callable[[], None] | None
+) -> Evaluation:
+    return evaluate(
+        run_bank(recordings, artefact.filters, artefact.rate, artefact.window, jobs, progress), artefact
+    )
+
+
+def filter_speeds(artefact: Artefact, repeats: int = 3) -> dict[str, float]:
+    """Time of each filter per sample [us], the best of some runs over a simulated minute."""
+    vehicle = load_vehicle("generic_compact")
+    signals = simulate_log(vehicle, "slalom", seed=1, duration=60.0)
+    segment = resample(signals, artefact.rate)[0]
+    inputs = make_inputs(segment.signals, vehicle, 1.0 / artefact.rate)
+    speeds = {}
+    for entry, estimator in zip(artefact.filters, make_filters(artefact, vehicle), strict=True):
+        estimator.run(inputs)
+        times = []
+        for _ in range(repeats):
+            start = time.perf_counter()
+            estimator.run(inputs)
+            times.append(time.perf_counter() - start)
+        speeds[entry.name] = float(np.min(times)) / len(inputs.samples) * 1e6
+    return speeds
