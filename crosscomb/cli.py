@@ -250,7 +250,7 @@ def check(
     from crosscomb import terminal
     from crosscomb.artefact import load_artefact
     from crosscomb.channel_map import load_map
-    from crosscomb.estimate import choose_vehicle
+    from crosscomb.estimate import GENERIC, choose_vehicle, require_road_wheel_angle
     from crosscomb.logs import read_log
     from crosscomb.plausibility import check_units
 
@@ -265,6 +265,8 @@ def check(
         terminal.warn(warning)
     for finding in findings:
         terminal.say(f"{finding.severity}: column {finding.column}: {finding.message}")
+    if origin == GENERIC:
+        require_road_wheel_angle(signals)
     if any(finding.severity == "error" for finding in findings):
         raise typer.Exit(2)
     terminal.say("nothing plainly wrong" if findings else "nothing wrong found")

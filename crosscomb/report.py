@@ -10,12 +10,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import matplotlib
-
-matplotlib.use("Agg")
-import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from crosscomb.estimate import LogEstimate
@@ -41,9 +38,8 @@ def estimate_figure(estimate: LogEstimate, title: str) -> Figure:
     t = estimate.signals.t - estimate.signals.t[0]
     names = list(estimate.filters)
     moving = estimate.signals.column("vx") > MIN_SPEED
-    figure, (main, strip, inputs) = plt.subplots(
-        3, 1, figsize=(12, 7), sharex=True, height_ratios=(5, 0.6, 2.2), layout="constrained"
-    )
+    figure = Figure(figsize=(12, 7), layout="constrained")
+    main, strip, inputs = figure.subplots(3, 1, sharex=True, height_ratios=(5, 0.6, 2.2))
     beta, band = np.degrees(estimate.beta), np.degrees(1.96 * estimate.beta_std)
     for colour, name in zip(COLOURS, names, strict=False):
         main.plot(t, np.degrees(estimate.filters[name]), color=colour, lw=0.7, alpha=0.55, label=name)
@@ -58,7 +54,7 @@ def estimate_figure(estimate: LogEstimate, title: str) -> Figure:
     main.axhline(0.0, color="0.5", lw=0.5)
     main.set_ylabel("beta [deg]")
     main.set_title(title)
-    main.legend(loc="upper right", ncols=3, fontsize=8)
+    main.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), fontsize=8, frameon=False)
     for colour, name in zip(COLOURS, names, strict=False):
         strip.fill_between(t, 0, 1, where=estimate.active == name, color=colour, lw=0, step="post")
     strip.fill_between(t, 0, 1, where=~moving, color="white", alpha=0.75, lw=0, step="post")
@@ -68,14 +64,14 @@ def estimate_figure(estimate: LogEstimate, title: str) -> Figure:
     inputs.plot(t, np.degrees(estimate.signals.column("yaw_rate")) / 10.0, color=COLOURS[4], lw=0.9,
                 label="yaw rate [10 deg/s]")  # fmt: skip
     inputs.plot(t, estimate.signals.column("vx") / 10.0, color=COLOURS[5], lw=0.9, label="vx [10 m/s]")
-    inputs.legend(loc="upper right", ncols=3, fontsize=8)
+    inputs.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), fontsize=8, frameon=False)
     inputs.set_xlabel("t [s]")
     for axis in (main, inputs):
         axis.grid(alpha=0.3)
     return figure
 
 
-def _limits(axis: plt.Axes, values: np.ndarray) -> None:
+def _limits(axis: Axes, values: np.ndarray) -> None:
     """Scale to what is estimated, not to a single filter that runs off."""
     low, high = float(values.min()), float(values.max())
     margin = max(1.0, 0.25 * (high - low))
@@ -97,7 +93,8 @@ def confusion_figure(confusion: np.ndarray, names: Sequence[str]) -> Figure:
     names : sequence of str
     """
     shares = row_shares(confusion)
-    figure, axis = plt.subplots(figsize=(6.2, 5.2), layout="constrained")
+    figure = Figure(figsize=(6.2, 5.2), layout="constrained")
+    axis = figure.subplots()
     image = axis.imshow(shares, vmin=0.0, vmax=1.0, cmap="Blues")
     for i in range(len(names)):
         for j in range(len(names)):
@@ -254,7 +251,6 @@ def _cells(row: pd.Series) -> str:
 def _as_png(figure: Figure) -> bytes:
     buffer = io.BytesIO()
     figure.savefig(buffer, dpi=110, metadata={"Software": None})
-    plt.close(figure)
     return buffer.getvalue()
 
 
