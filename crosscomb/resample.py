@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pandas as pd
 
-from crosscomb.signals import REFERENCES, Signals
+from crosscomb.signals import GNSS, REFERENCES, Signals
 
 MAX_GAP = 1.0
 """A longer silence of the log [s] starts a new segment: the filters begin anew after it."""
@@ -42,8 +42,8 @@ def resample(signals: Signals, rate: float) -> list[Segment]:
     A channel's value at grid point t_k is the mean of its samples in (t_{k-1}, t_k] (this damps what a lower
     rate would alias). Where it has none, its newest sample is held while the log is silent, or, in a log
     whose channels come at different rates, until the channel's next sample is due by its last interval; never
-    longer than `MAX_AGE`. Else it is NaN, "no measurement". Ground truth is the newest sample in the step,
-    neither averaged nor held: a late truth would be a false one.
+    longer than `MAX_AGE`. Else it is NaN, "no measurement". Ground truth and GNSS fixes are the newest
+    sample in the step, neither averaged nor held: a late truth would be a false one, and a fix counts once.
 
     Rows after a time T never change a grid point at or before T. A log at the working rate passes unchanged.
 
@@ -106,13 +106,13 @@ def _resample_stretch(signals: Signals, start: int, stop: int, rate: float) -> S
     columns = {"t": t_start + grid}
     for name in signals.frame.columns.drop("t"):
         values = signals.column(name)[start : start + rows]
-        columns[name] = _to_grid(values, tau, steps, grid, rate, reference=name in REFERENCES)
+        columns[name] = _to_grid(values, tau, steps, grid, rate, once=name in REFERENCES + GNSS)
     frame = pd.DataFrame(columns)[list(signals.frame.columns)]
     return Segment(start, stop, replace(signals, frame=frame))
 
 
 def _to_grid(
-    values: np.ndarray, tau: np.ndarray, steps: np.ndarray, grid: np.ndarray, rate: float, *, reference: bool
+    values: np.ndarray, tau: np.ndarray, steps: np.ndarray, grid: np.ndarray, rate: float, *, once: bool
 ) -> np.ndarray:
     """One channel at the grid times; `steps` is the grid point that each row counts for."""
     measured = np.flatnonzero(np.isfinite(values))
@@ -123,7 +123,7 @@ def _to_grid(
     counts = np.diff(ends, prepend=0)
     newest = np.maximum(ends - 1, 0)
     result = np.where(counts > 0, values[measured][newest], np.nan)
-    if reference:
+    if once:
         return result
 
     several = counts > 1

@@ -33,6 +33,9 @@ UNITS: dict[str, str] = {
     "torque_fr": "N m",
     "torque_rl": "N m",
     "torque_rr": "N m",
+    "gnss_speed": "m/s",
+    "gnss_course": "rad",
+    "heading": "rad",
     "beta_ref": "rad",
     "vx_ref": "m/s",
     "vy_ref": "m/s",
@@ -41,6 +44,9 @@ UNITS: dict[str, str] = {
 
 WHEEL_SPEEDS = ("vfl", "vfr", "vrl", "vrr")
 TORQUES = ("torque_fl", "torque_fr", "torque_rl", "torque_rr")
+GNSS = ("gnss_speed", "gnss_course", "heading")
+"""Rare fixes: each counts once, at its own time. Course and heading count from x east (or any fixed axis) to the left."""
+
 REFERENCES = ("beta_ref", "vx_ref", "vy_ref")
 
 

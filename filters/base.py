@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, ClassVar, NamedTuple
 
@@ -14,13 +14,15 @@ from numba import njit
 
 from crosscomb.models.kinematic import slip_of_rolling_rear
 from crosscomb.models.single_track import SingleTrack, single_track
+from crosscomb.models.tyres import TYRE_LAWS
 from crosscomb.models.vehicle import Vehicle
-from crosscomb.signals import GRAVITY, MIN_SPEED, TORQUES, Signals
+from crosscomb.signals import GNSS, GRAVITY, MIN_SPEED, TORQUES, WHEEL_SPEEDS, Signals
 
 VX, AX, AY, YAW_RATE, STEER, STEER_REAR, FXF, FXR, VX_HELD, STEER_HELD = range(10)
+VFL, VFR, VRL, VRR, GNSS_SPEED, GNSS_COURSE, HEADING = range(10, 17)
 """Columns of a sample: what kernels read."""
 
-SAMPLE_WIDTH = 10
+SAMPLE_WIDTH = 17
 
 BETA, BETA_STD, NIS = range(3)
 """Columns of an estimate: what kernels write."""
@@ -40,10 +42,11 @@ class Inputs:
     ----------
     dt : float
         Time from sample to sample [s].
-    samples : (n, 10) float64
+    samples : (n, 17) float64
         Columns vx [m/s], ax, ay [m/s^2] without roll gravity, yaw_rate [rad/s], steer, steer_rear [rad],
-        fxf, fxr [N], and 1 where vx and where steer is held over a missing sample, else 0. NaN means "no
-        measurement" in ax, ay and yaw_rate; the others are always finite.
+        fxf, fxr [N], and 1 where vx and where steer is held over a missing sample, else 0; then the four wheel
+        speeds [m/s], GNSS speed [m/s], course and heading [rad]. NaN means "no measurement" in ax, ay, yaw_rate
+        and in all from the wheel speeds on; the others are always finite.
     """
 
     dt: float
@@ -60,11 +63,14 @@ class Estimate:
         Sideslip angle and its standard deviation, finite at every sample.
     nis : (n,)
         Normalised innovation squared of the sample's update; NaN where nothing was updated.
+    extra : dict of str to (n,)
+        Further answers by the name and unit of `KernelFilter.extras`, such as axle forces.
     """
 
     beta: np.ndarray
     beta_std: np.ndarray
     nis: np.ndarray
+    extra: dict[str, np.ndarray] = field(default_factory=dict)
 
 
 class Started(NamedTuple):
@@ -72,7 +78,7 @@ class Started(NamedTuple):
 
     dt: float
     state: Any  # the kernels' state
-    out: np.ndarray  # (3,)
+    out: np.ndarray  # (3 + extras,)
 
 
 @dataclass(frozen=True)
@@ -89,6 +95,10 @@ class KernelFilter:
 
     step_kernel: ClassVar[Callable[..., None]]
     run_kernel: ClassVar[Callable[..., None]]
+    choices: ClassVar[dict[str, tuple[str, ...]]] = {"tyre": tuple(TYRE_LAWS)}
+    """Words that a setting may take."""
+    extras: ClassVar[tuple[str, ...]] = ()
+    """Columns that the kernels write behind `NIS`, each as ``name [unit]``."""
 
     @cached_property
     def car(self) -> SingleTrack:
@@ -101,7 +111,7 @@ class KernelFilter:
 
     def start(self, dt: float) -> Started:
         """Make the state before the first sample, for samples dt [s] apart."""
-        return Started(dt, self.make_state(), np.empty(3))
+        return Started(dt, self.make_state(), np.full(3 + len(self.extras), np.nan))
 
     def step(self, started: Started, sample: np.ndarray) -> tuple[float, float, float]:
         """Take one sample and change `started`.
@@ -109,7 +119,7 @@ class KernelFilter:
         Parameters
         ----------
         started : Started
-        sample : (10,)
+        sample : (17,)
             Columns as in `Inputs`.
 
         Returns
@@ -118,14 +128,15 @@ class KernelFilter:
         nis : float
         """
         self.step_kernel(started.state, sample, self.car, self.noise, started.dt, started.out)
-        beta, beta_std, nis = started.out
+        beta, beta_std, nis = started.out[:3]
         return float(beta), float(beta_std), float(nis)
 
     def run(self, inputs: Inputs) -> Estimate:
         """Estimate a whole log; bit-identical to `step` sample by sample."""
-        out = np.empty((len(inputs.samples), 3))
+        out = np.full((len(inputs.samples), 3 + len(self.extras)), np.nan)
         self.run_kernel(self.make_state(), inputs.samples, self.car, self.noise, inputs.dt, out)
-        return Estimate(beta=out[:, BETA].copy(), beta_std=out[:, BETA_STD].copy(), nis=out[:, NIS].copy())
+        beta, beta_std, nis, *extra = out.T.copy()
+        return Estimate(beta, beta_std, nis, dict(zip(self.extras, extra, strict=True)))
 
 
 class Gaussian(NamedTuple):
@@ -224,6 +235,8 @@ def make_inputs(signals: Signals, vehicle: Vehicle, dt: float) -> Inputs:
     samples[:, STEER] = hold(signals.column("steer"))
     samples[:, STEER_REAR] = hold(signals.column("steer_rear"))
     samples[:, FXF], samples[:, FXR] = longitudinal_forces(signals, vehicle)
+    for column, name in zip(range(VFL, HEADING + 1), (*WHEEL_SPEEDS, *GNSS), strict=True):
+        samples[:, column] = signals.column(name)
     samples[:, VX_HELD] = ~np.isfinite(signals.column("vx"))
     samples[:, STEER_HELD] = ~np.isfinite(signals.column("steer"))
     return Inputs(dt=dt, samples=samples)

@@ -11,7 +11,6 @@ from crosscomb.filters.base import KernelFilter
 from crosscomb.filters.dynamic_ekf import DynamicEKF
 from crosscomb.filters.kinematic_kf import KinematicKF
 from crosscomb.filters.random_walk_pf import RandomWalkPF
-from crosscomb.models.tyres import TYRE_LAWS
 from crosscomb.models.vehicle import Vehicle
 
 
@@ -69,7 +68,7 @@ def make_filter(name: str, vehicle: Vehicle, settings: Mapping[str, Any] | None 
     for key, value in (settings or {}).items():
         if key not in defaults:
             raise UsageError(f"filter {name}: unknown setting {key}: take of {', '.join(defaults)}")
-        chosen[key] = _checked(f"filter {name}: {key}", value, defaults[key])
+        chosen[key] = _checked(f"filter {name}: {key}", value, defaults[key], cls.choices.get(key, ()))
     return cls(vehicle, **chosen)
 
 
@@ -85,13 +84,13 @@ def _plain(value: Any) -> Any:
     return value
 
 
-def _checked(where: str, value: Any, default: Any) -> Any:
+def _checked(where: str, value: Any, default: Any, words: tuple[str, ...] = ()) -> Any:
     """Check a setting against the kind of its default and give it that kind."""
     if hasattr(default, "_asdict"):
         return _checked_noise(where, value, default)
     if isinstance(default, str):
-        if value not in TYRE_LAWS:
-            raise UsageError(f"{where}: {value!r} is no tyre law: take of {', '.join(TYRE_LAWS)}")
+        if value not in words:
+            raise UsageError(f"{where}: {value!r} is unknown: take one of {', '.join(words)}")
         return value
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise UsageError(f"{where}: {value!r} is no number")
