@@ -59,32 +59,53 @@ def kinematic_predict(state, ax, ay, yaw_rate, noise, dt):
 
 
 @njit(cache=True)
-def kinematic_step(state, sample, car, noise, dt, out):
-    """One sample of the kinematic filter; `out` ``(3,)`` gets beta, its standard deviation and the NIS."""
+def kinematic_start(state, sample, car, noise, out):
+    """Answer where the car is slow and start on the first sample above the gate; True where it did either."""
     mean, cov = state.mean, state.cov
+    slow = below_gate(sample)
+    if not slow and state.running[0] == 1:
+        return False
+    low_speed_answer(sample, car, out)
+    state.running[0] = 0
+    if slow:
+        return True
     vx = sample[VX]
-    if below_gate(sample):
-        low_speed_answer(sample, car, out)
-        state.running[0] = 0
-        return
-    if state.running[0] == 0:
-        low_speed_answer(sample, car, out)
-        mean[0], mean[1] = vx, vx * math.tan(out[BETA])
-        cov[0, 0], cov[0, 1], cov[1, 0] = noise.speed**2, 0.0, 0.0
-        cov[1, 1] = (vx * out[BETA_STD]) ** 2
-        state.running[0] = 1
-        return
-    kinematic_predict(state, sample[AX], sample[AY], sample[YAW_RATE], noise, dt)
+    mean[0], mean[1] = vx, vx * math.tan(out[BETA])
+    cov[0, 0], cov[0, 1], cov[1, 0] = noise.speed**2, 0.0, 0.0
+    cov[1, 1] = (vx * out[BETA_STD]) ** 2
+    state.running[0] = 1
+    return True
+
+
+@njit(cache=True)
+def kinematic_update(state, sample, noise):
+    """Update with the measured vx; give the NIS, NaN where vx is only held."""
+    mean = state.mean
     if sample[VX_HELD] == 0.0:
-        out[NIS] = scalar_update(state, 1.0, 0.0, vx - mean[0], noise.speed**2)
-    else:
-        out[NIS] = math.nan
-        mean[0] = max(mean[0], MIN_SPEED)  # the gate cannot see the car stop
+        return scalar_update(state, 1.0, 0.0, sample[VX] - mean[0], noise.speed**2)
+    mean[0] = max(mean[0], MIN_SPEED)  # the gate cannot see the car stop
+    return math.nan
+
+
+@njit(cache=True)
+def velocity_answer(state, out):
+    """Write beta of the state [vx, vy] and its standard deviation."""
+    mean, cov = state.mean, state.cov
     speed2 = mean[0] * mean[0] + mean[1] * mean[1]
     out[BETA] = math.atan2(mean[1], mean[0])
     # beta = atan2(vy, vx): its gradient is [-vy, vx] / V^2
     spread = mean[1] ** 2 * cov[0, 0] - 2.0 * mean[0] * mean[1] * cov[0, 1] + mean[0] ** 2 * cov[1, 1]
     out[BETA_STD] = math.sqrt(spread) / speed2
+
+
+@njit(cache=True)
+def kinematic_step(state, sample, car, noise, dt, out):
+    """One sample of the kinematic filter; `out` ``(3,)`` gets beta, its standard deviation and the NIS."""
+    if kinematic_start(state, sample, car, noise, out):
+        return
+    kinematic_predict(state, sample[AX], sample[AY], sample[YAW_RATE], noise, dt)
+    out[NIS] = kinematic_update(state, sample, noise)
+    velocity_answer(state, out)
 
 
 @njit(cache=True)

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from numba import njit
@@ -33,6 +33,8 @@ from crosscomb.filters.base import (
     low_speed_answer,
 )  # fmt: skip
 from crosscomb.filters.dynamic_ekf import DynamicNoise, dynamic_step
+from crosscomb.filters.particles import RESAMPLE_BELOW, cloud, draw_uniform, normalise, weighted_beta
+from crosscomb.filters.resampling import RESAMPLING, resample
 from crosscomb.models.single_track import body_rates
 
 
@@ -59,12 +61,12 @@ class Particles(NamedTuple):
     ekf: Gaussian
     ekf_out: np.ndarray  # (3,)
     rng: np.random.Generator
+    source: np.ndarray  # (n,) int64, which particle each new one copied last
+    scheme: int  # of resampling
 
 
 FIRST_SPREAD = (0.2, math.radians(8.0), 2.0, 2.0, 2.0, 2.0)
 """Half width of the uniform first particles: yaw rate [rad/s], beta [rad], forces over the mass [m/s^2]."""
-
-UNIFORM = math.sqrt(12.0)  # width of a uniform distribution of unit variance
 
 
 @njit(cache=True)
@@ -90,24 +92,6 @@ def first_particles(particles, centre_yaw, centre_beta, mass):
         for i in range(x.shape[1]):
             x[row, i] = centre + half * (2.0 * rng.random() - 1.0)
     particles.log_weights[:] = 0.0
-
-
-@njit(cache=True)
-def draw_uniform(rng, noise):
-    """Fill ``(6, n)`` with uniform noise of zero mean and unit variance.
-
-    A random double holds 53 bits; it serves two states with 26 each, as drawing is what costs the time.
-    """
-    half = 2.0**26
-    for row in range(3):
-        for i in range(noise.shape[1]):
-            noise[row, i] = rng.random()
-    for row in range(3):
-        for i in range(noise.shape[1]):
-            scaled = noise[row, i] * half
-            whole = math.floor(scaled)
-            noise[row, i] = UNIFORM * (whole / half - 0.5)
-            noise[row + 3, i] = UNIFORM * (scaled - whole - 0.5)
 
 
 @njit(cache=True)
@@ -149,74 +133,33 @@ def move_and_weigh(particles, sample, beta_ekf, car, noise, dt):
 
 
 @njit(cache=True)
-def normalise(log_weights, weights):
-    """Turn log weights into weights that sum to one; give the effective sample size."""
-    best = -math.inf
-    for i in range(weights.size):
-        best = max(best, log_weights[i])
-    total, squares = 0.0, 0.0
-    for i in range(weights.size):
-        log_weights[i] -= best
-        weights[i] = math.exp(log_weights[i])
-        total += weights[i]
-        squares += weights[i] * weights[i]
-    for i in range(weights.size):
-        weights[i] /= total
-    return total * total / squares
-
-
-@njit(cache=True)
-def systematic_resample(particles):
-    """Draw the particles anew by their weights, with one random offset for all (systematic resampling)."""
-    x, weights, scratch = particles.x, particles.weights, particles.scratch
-    n = weights.size
-    offset = particles.rng.random()
-    source, cumulative = 0, weights[0]
-    for i in range(n):
-        position = (i + offset) / n
-        while cumulative < position and source < n - 1:
-            source += 1
-            cumulative += weights[source]
-        for row in range(6):
-            scratch[row, i] = x[row, source]
-    x[:, :] = scratch
-    particles.log_weights[:] = 0.0
-
-
-@njit(cache=True)
-def weighted_beta(particles):
-    """Mean and standard deviation of beta over the weighted particles [rad] (Atheupe 2023, eq. 16)."""
-    beta, weights = particles.x[1], particles.weights
-    mean = 0.0
-    for i in range(weights.size):
-        mean += weights[i] * beta[i]
-    variance = 0.0
-    for i in range(weights.size):
-        variance += weights[i] * (beta[i] - mean) ** 2
-    return mean, math.sqrt(variance)
-
-
-@njit(cache=True)
-def particle_step(particles, sample, car, noise, dt, out):
-    """One sample of the particle filter; `out` ``(3,)`` gets beta, its standard deviation and NaN."""
+def particle_answer(particles, sample, car, noise, dt, out):
+    """One sample of the particle filter without resampling; give the effective sample size, inf at low speed."""
     dynamic_step(particles.ekf, sample, car, noise.ekf, dt, particles.ekf_out)
     beta_ekf = particles.ekf_out[BETA]
     if below_gate(sample):
         low_speed_answer(sample, car, out)
         particles.running[0] = 0
-        return
+        return math.inf
     if particles.running[0] == 0:
         yaw_rate = sample[YAW_RATE] if math.isfinite(sample[YAW_RATE]) else 0.0
         first_particles(particles, yaw_rate, beta_ekf, car.mass)
         low_speed_answer(sample, car, out)
         particles.running[0] = 1
-        return
+        return math.inf
     move_and_weigh(particles, sample, beta_ekf, car, noise, dt)
     effective = normalise(particles.log_weights, particles.weights)
     out[BETA], out[BETA_STD] = weighted_beta(particles)
     out[NIS] = math.nan
-    if effective < 0.5 * particles.weights.size:
-        systematic_resample(particles)
+    return effective
+
+
+@njit(cache=True)
+def particle_step(particles, sample, car, noise, dt, out):
+    """One sample of the particle filter; `out` ``(3,)`` gets beta, its standard deviation and NaN."""
+    effective = particle_answer(particles, sample, car, noise, dt, out)
+    if effective < RESAMPLE_BELOW * particles.weights.size:
+        resample(particles)
 
 
 @njit(cache=True)
@@ -235,21 +178,18 @@ class RandomWalkPF(KernelFilter):
 
     noise: ParticleNoise = ParticleNoise()
     particles: int = 1000
+    resampling: str = "systematic"
     seed: int = 0
 
+    choices: ClassVar = {**KernelFilter.choices, "resampling": tuple(RESAMPLING)}
     step_kernel = staticmethod(particle_step)
     run_kernel = staticmethod(particle_run)
 
     def make_state(self) -> Any:
         """Make the particles before the first sample."""
-        n = self.particles
         return Particles(
-            x=np.zeros((6, n)),
-            log_weights=np.zeros(n),
-            weights=np.full(n, 1.0 / n),
-            scratch=np.empty((6, n)),
+            **cloud(6, self.particles, self.resampling, self.seed),
             running=np.zeros(1, dtype=np.int64),
             ekf=gaussian(),
             ekf_out=np.empty(3),
-            rng=np.random.Generator(np.random.SFC64(self.seed)),
         )

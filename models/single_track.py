@@ -40,8 +40,8 @@ def single_track(vehicle: Vehicle, tyre: str = "dugoff") -> SingleTrack:
     Parameters
     ----------
     vehicle : Vehicle
-    tyre : {"linear", "dugoff"}
-        Tyre law of both axles.
+    tyre : str
+        Tyre law of both axles, a name of `TYRE_LAWS`.
     """
     return SingleTrack(
         mass=vehicle.mass,
@@ -190,10 +190,10 @@ def single_track_rates(yaw_rate, beta, vx, steer, steer_rear, fxf, fxr, ax_load,
         yaw_rate, beta, vx, steer, steer_rear, car.a, car.b
     )
     fyf, slope_f = axle_tyre(
-        car.tyre_law, alpha_f, car.stiffness_front, lateral_capacity(friction, load_f, fxf)
+        car.tyre_law, alpha_f, car.stiffness_front, lateral_capacity(friction, load_f, fxf), friction
     )
     fyr, slope_r = axle_tyre(
-        car.tyre_law, alpha_r, car.stiffness_rear, lateral_capacity(friction, load_r, fxr)
+        car.tyre_law, alpha_r, car.stiffness_rear, lateral_capacity(friction, load_r, fxr), friction
     )
     cos_f, sin_f = math.cos(steer), math.sin(steer)
     cos_r, sin_r = math.cos(steer_rear), math.sin(steer_rear)

@@ -1,0 +1,145 @@
+"""Particle filter on the kinematic model.
+
+State [vx, vy]; inputs ax, ay and yaw rate; weights from vx (Atheupe 2023, eq. 18 to 21 and section 7.2). Model and
+noise are those of `crosscomb.filters.kinematic_kf`, which solves this linear problem exactly: with many particles
+both give the same answer. It is here because the paper compares them, not because it can be better.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any, ClassVar, NamedTuple
+
+import numpy as np
+from numba import njit
+
+from crosscomb.filters.base import (
+    AX,
+    AY,
+    BETA,
+    BETA_STD,
+    NIS,
+    VX,
+    VX_HELD,
+    YAW_RATE,
+    KernelFilter,
+    below_gate,
+    low_speed_answer,
+)  # fmt: skip
+from crosscomb.filters.kinematic_kf import KinematicNoise
+from crosscomb.filters.particles import RESAMPLE_BELOW, UNIFORM, cloud, draw_uniform, normalise
+from crosscomb.filters.resampling import RESAMPLING, resample
+from crosscomb.models.kinematic import input_gain, rotation
+from crosscomb.signals import MIN_SPEED
+
+
+class Velocities(NamedTuple):
+    """State of the filter, changed in place by its kernel."""
+
+    x: np.ndarray  # (2, n) vx, vy
+    log_weights: np.ndarray  # (n,) up to a constant
+    weights: np.ndarray  # (n,) sum to one
+    scratch: np.ndarray  # (2, n)
+    source: np.ndarray  # (n,) int64, which particle each new one copied last
+    scheme: int  # of resampling
+    rng: np.random.Generator
+    running: np.ndarray  # (1,) 1 above the low-speed gate
+
+
+@njit(cache=True)
+def first_velocities(state, vx, beta, beta_std, noise):
+    """Spread the particles uniformly, as wide as the Kalman filter's first covariance."""
+    x, vy = state.x, vx * math.tan(beta)
+    wide_x, wide_y = UNIFORM * noise.speed, UNIFORM * vx * beta_std
+    for i in range(x.shape[1]):
+        x[0, i] = vx + wide_x * (state.rng.random() - 0.5)
+        x[1, i] = vy + wide_y * (state.rng.random() - 0.5)
+    state.log_weights[:] = 0.0
+
+
+@njit(cache=True)
+def move_velocities(state, ax, ay, yaw_rate, noise, dt):
+    """Predict every particle with held accelerations; a missing one keeps the velocity and widens it."""
+    x, draws, density = state.x, state.scratch, noise.accel
+    if not (math.isfinite(ax) and math.isfinite(ay) and math.isfinite(yaw_rate)):
+        ax, ay, yaw_rate, density = 0.0, 0.0, 0.0, noise.missing_accel
+    draw_uniform(state.rng, draws)
+    f00, f01, f10, f11 = rotation(yaw_rate, dt)
+    g00, g01, g10, g11 = input_gain(yaw_rate, dt)
+    gained_x, gained_y = g00 * ax + g01 * ay, g10 * ax + g11 * ay
+    decay, shake = math.exp(-noise.relaxation * dt), density * math.sqrt(dt)
+    for i in range(x.shape[1]):
+        vx, vy = x[0, i], decay * x[1, i]
+        # A speed that is only held cannot tell that the car stops: no particle may reverse.
+        x[0, i] = max(f00 * vx + f01 * vy + gained_x + shake * draws[0, i], MIN_SPEED)
+        x[1, i] = f10 * vx + f11 * vy + gained_y + shake * draws[1, i]
+
+
+@njit(cache=True)
+def weigh_velocities(state, vx, noise):
+    """Add the log likelihood of the measured vx to the log weights."""
+    precision = 0.5 / noise.speed**2
+    for i in range(state.weights.size):
+        state.log_weights[i] -= precision * (vx - state.x[0, i]) ** 2
+
+
+@njit(cache=True)
+def weighted_slip(state):
+    """Beta of the mean velocity, and its standard deviation to first order [rad]."""
+    x, weights = state.x, state.weights
+    vx, vy = 0.0, 0.0
+    for i in range(weights.size):
+        vx += weights[i] * x[0, i]
+        vy += weights[i] * x[1, i]
+    # beta = atan2(vy, vx): its gradient is [-vy, vx] / V^2
+    variance, speed2 = 0.0, vx * vx + vy * vy
+    for i in range(weights.size):
+        variance += weights[i] * (vx * (x[1, i] - vy) - vy * (x[0, i] - vx)) ** 2
+    return math.atan2(vy, vx), math.sqrt(variance) / speed2
+
+
+@njit(cache=True)
+def kinematic_particle_step(state, sample, car, noise, dt, out):
+    """One sample of the filter; `out` ``(3,)`` gets beta, its standard deviation and NaN."""
+    if below_gate(sample) or state.running[0] == 0:
+        low_speed_answer(sample, car, out)
+        state.running[0] = 0 if below_gate(sample) else 1
+        if state.running[0] == 1:
+            first_velocities(state, sample[VX], out[BETA], out[BETA_STD], noise)
+        return
+    move_velocities(state, sample[AX], sample[AY], sample[YAW_RATE], noise, dt)
+    if sample[VX_HELD] == 0.0:
+        weigh_velocities(state, sample[VX], noise)
+    effective = normalise(state.log_weights, state.weights)
+    out[BETA], out[BETA_STD] = weighted_slip(state)
+    out[NIS] = math.nan
+    if effective < RESAMPLE_BELOW * state.weights.size:
+        resample(state)
+
+
+@njit(cache=True)
+def kinematic_particle_run(state, samples, car, noise, dt, out):
+    """All samples of the filter."""
+    for k in range(samples.shape[0]):
+        kinematic_particle_step(state, samples[k], car, noise, dt, out[k])
+
+
+@dataclass(frozen=True)
+class KinematicPF(KernelFilter):
+    """Kinematic particle filter of one vehicle."""
+
+    noise: KinematicNoise = KinematicNoise()
+    particles: int = 1000
+    resampling: str = "systematic"
+    seed: int = 0
+
+    choices: ClassVar = {**KernelFilter.choices, "resampling": tuple(RESAMPLING)}
+    step_kernel = staticmethod(kinematic_particle_step)
+    run_kernel = staticmethod(kinematic_particle_run)
+
+    def make_state(self) -> Any:
+        """Make the particles before the first sample."""
+        return Velocities(
+            **cloud(2, self.particles, self.resampling, self.seed), running=np.zeros(1, dtype=np.int64)
+        )

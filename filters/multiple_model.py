@@ -1,0 +1,168 @@
+"""Multiple models: interacting (IMM) and multiple-model adaptive estimation (MMAE).
+
+Both run the bank of `crosscomb.filters.model_bank` and weigh its filters by likelihood. A model's error
+lasts, so samples are no independent evidence: log likelihoods count with dt / (dt + correlation).
+
+- `IMM` (Blom and Bar-Shalom 1988): before each step the three states are mixed by the probability that the
+  car went over from one model to another; it leaves a model after `stay` seconds on average, for any model
+  by its share.
+- `MMAE` (Magill 1965): each filter runs for itself; no probability falls below `floor`, so that a model can
+  come back.
+
+Both answer with the probability-weighted mean and covariance, the NIS being the weighted mean of the
+filters'.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numba import njit
+
+from crosscomb.filters.base import (
+    BETA,
+    BETA_STD,
+    NIS,
+    KernelFilter,
+    gaussian,
+)  # fmt: skip
+from crosscomb.filters.model_bank import (
+    MODELS,
+    Bank,
+    Cars,
+    ModelNoise,
+    bank_start,
+    combine,
+    model_shares,
+    step_models,
+)  # fmt: skip
+from crosscomb.models.single_track import single_track
+
+
+@njit(cache=True)
+def weigh(bank, prior, noise, dt):
+    """Bayes: the probabilities after the update from those before it."""
+    share = dt / (dt + noise.correlation)
+    best = max(bank.log_likelihood[0], bank.log_likelihood[1], bank.log_likelihood[2])
+    total = 0.0
+    for i in range(MODELS):
+        bank.probability[i] = prior[i] * math.exp(share * (bank.log_likelihood[i] - best))
+        total += bank.probability[i]
+    for i in range(MODELS):
+        bank.probability[i] /= total
+
+
+@njit(cache=True)
+def interact(bank, noise, dt, prior):
+    """Mix the states as the models may have changed (IMM); `prior` (3,) gets the predicted probabilities."""
+    members = (bank.high, bank.low, bank.kinematic)
+    stay = math.exp(-dt / noise.stay)
+    shares = model_shares(noise)
+    weights = np.empty(MODELS)
+    for j in range(MODELS):
+        # Who does not stay goes to any model by its share: the shares are the chain's steady state.
+        change = (1.0 - stay) * shares[j]
+        prior[j] = stay * bank.probability[j] + change
+        for i in range(MODELS):
+            weights[i] = bank.probability[i] * change / prior[j]
+        weights[j] += bank.probability[j] * stay / prior[j]
+        combine(bank, weights, bank.mixed_mean[j], bank.mixed_cov[j])
+    for j in range(MODELS):
+        members[j].mean[:] = bank.mixed_mean[j]
+        members[j].cov[:, :] = bank.mixed_cov[j]
+
+
+@njit(cache=True)
+def bank_answer(bank, out):
+    """Write the mixture's beta, its standard deviation, the mean NIS and the probabilities."""
+    mean, cov = bank.mixed_mean[0], bank.mixed_cov[0]
+    combine(bank, bank.probability, mean, cov)
+    out[BETA], out[BETA_STD] = mean[1], math.sqrt(cov[1, 1])
+    nis, total = 0.0, 0.0
+    for i in range(MODELS):
+        if math.isfinite(bank.nis[i]):
+            nis += bank.probability[i] * bank.nis[i]
+            total += bank.probability[i]
+    out[NIS] = nis / total if total > 0.0 else math.nan
+    out[3:] = bank.probability
+
+
+@njit(cache=True)
+def imm_step(bank, sample, cars, noise, dt, out):
+    """One sample of the IMM; `out` ``(6,)``: beta, its standard deviation, the NIS, the probabilities."""
+    if bank_start(bank, sample, cars, noise, out):
+        return
+    prior = np.empty(MODELS)
+    interact(bank, noise, dt, prior)
+    step_models(bank, sample, cars, noise, dt)
+    weigh(bank, prior, noise, dt)
+    bank_answer(bank, out)
+
+
+@njit(cache=True)
+def mmae_step(bank, sample, cars, noise, dt, out):
+    """One sample of the MMAE; `out` ``(6,)``: beta, its standard deviation, the NIS, the probabilities."""
+    if bank_start(bank, sample, cars, noise, out):
+        return
+    step_models(bank, sample, cars, noise, dt)
+    weigh(bank, bank.probability, noise, dt)
+    least = min(noise.floor, 1.0 / MODELS)
+    for i in range(MODELS):  # the sum stays one
+        bank.probability[i] = least + (1.0 - MODELS * least) * bank.probability[i]
+    bank_answer(bank, out)
+
+
+@njit(cache=True)
+def imm_run(bank, samples, cars, noise, dt, out):
+    """All samples of the IMM."""
+    for k in range(samples.shape[0]):
+        imm_step(bank, samples[k], cars, noise, dt, out[k])
+
+
+@njit(cache=True)
+def mmae_run(bank, samples, cars, noise, dt, out):
+    """All samples of the MMAE."""
+    for k in range(samples.shape[0]):
+        mmae_step(bank, samples[k], cars, noise, dt, out[k])
+
+
+@dataclass(frozen=True)
+class _Bank(KernelFilter):
+    noise: ModelNoise = ModelNoise()
+    low_friction: float = 0.3
+
+    extras = ("probability_dynamic [-]", "probability_low_friction [-]", "probability_kinematic [-]")
+
+    @cached_property
+    def car(self) -> Any:
+        """Parameters of the car on its own friction and on low friction."""
+        high = single_track(self.vehicle, self.tyre)
+        return Cars(high, high._replace(friction=self.low_friction))
+
+    def make_state(self) -> Any:
+        """Make the bank before the first sample."""
+        return Bank(
+            gaussian(), gaussian(), gaussian(), np.full(MODELS,
+            1.0 / MODELS), np.zeros(MODELS), np.zeros(MODELS),
+            np.zeros((MODELS, 2)), np.zeros((MODELS, 2, 2)), np.zeros(1, dtype=np.int64),
+        )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class IMM(_Bank):
+    """Interacting multiple models: single track on two frictions and the kinematic model."""
+
+    step_kernel = staticmethod(imm_step)
+    run_kernel = staticmethod(imm_run)
+
+
+@dataclass(frozen=True)
+class MMAE(_Bank):
+    """Multiple-model adaptive estimation: single track on two frictions and the kinematic model."""
+
+    step_kernel = staticmethod(mmae_step)
+    run_kernel = staticmethod(mmae_run)

@@ -1,0 +1,275 @@
+"""Deterministic observers of the single track: Luenberger, extended Luenberger, sliding mode.
+
+State [yaw_rate, beta], corrected by the measured yaw rate and ay (Chindamo 2018, section 2, table 1):
+
+    x_dot = f(x, u) + L e
+    e = [yaw_rate - yaw_rate_hat, ay - ay_hat]
+    L = [[a11 + p1, 0], [a21 - l c21, l]]
+
+with A = df/dx and C = dh/dx. A - L C is then triangular, with the poles -p1 and a22 - l c22. The first is
+set to `yaw_pole` times the car's own yaw damping (a^2 Cf + b^2 Cr) / (Iz vx). With l = (1 - slip_pole) / vx
+the second is `slip_pole` times the car's own slip damping (Cf + Cr) / (m vx): at 1 beta is that of the
+model alone, at 0 the kinematic integral of ay. Both follow the speed.
+
+- `Luenberger`: the linear single track, small angles.
+- `ExtendedLuenberger`: the nonlinear one with its tyre law, A and C anew at each step (Ding et al. 2014).
+- `SlidingMode`: the nonlinear model with K sat(e / layer): inside the boundary layer the same gains,
+  outside a constant pull, so that a wild measurement or a wrong model moves the state no faster (first
+  order).
+
+A deterministic observer knows no covariance: beta_std is a stated measure and no posterior. It adds up, as
+squares, `floor`, the `share` of beta, and what the running mean square of the ay innovation (over `memory`)
+amounts to as slip angle, m rms(e_ay) / (Cf + Cr). There is no NIS.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from numba import njit
+
+from crosscomb.filters.base import (
+    AX,
+    AY,
+    BETA,
+    BETA_STD,
+    FXF,
+    FXR,
+    MAX_BETA,
+    NIS,
+    STEER,
+    STEER_HELD,
+    STEER_REAR,
+    VX,
+    YAW_RATE,
+    KernelFilter,
+    below_gate,
+    low_speed_answer,
+)  # fmt: skip
+from crosscomb.models.linear_single_track import linear_single_track_rates
+from crosscomb.models.single_track import single_track_rates, stable_substeps
+
+MAX_YAW_RATE = 3.0
+"""The state is held inside [rad/s]."""
+
+NO_LAYERS = (math.inf, math.inf)
+"""Boundary layers of an observer that has none."""
+
+
+class ObserverGains(NamedTuple):
+    """Settings of the Luenberger observers."""
+
+    yaw_pole: float = 3.0  # over the car's own yaw damping
+    slip_pole: float = 0.5  # over the car's own slip damping, 0 to 1
+    floor: float = 0.008  # least beta_std [rad]
+    share: float = 0.2  # of |beta| in beta_std
+    memory: float = 2.0  # time constant of the innovation's mean square [s]
+    missing_steer: float = 0.06  # error of a held steering angle [rad]
+
+
+class SlidingGains(NamedTuple):
+    """Settings of the sliding-mode observer."""
+
+    yaw_pole: float = 3.0  # inside the boundary layer, over the car's own yaw damping
+    slip_pole: float = 0.5  # inside the boundary layer, over the car's own slip damping, 0 to 1
+    floor: float = 0.008  # least beta_std [rad]
+    share: float = 0.2  # of |beta| in beta_std
+    memory: float = 2.0  # time constant of the innovation's mean square [s]
+    missing_steer: float = 0.06  # error of a held steering angle [rad]
+    yaw_layer: float = 0.1  # boundary layer of the yaw rate [rad/s]
+    ay_layer: float = 2.0  # boundary layer of ay [m/s^2]
+
+
+class Observer(NamedTuple):
+    """State of an observer, changed in place by its kernel."""
+
+    mean: np.ndarray  # (2,) yaw_rate [rad/s], beta [rad]
+    error2: np.ndarray  # (1,) running mean square of the ay innovation [m^2/s^4]
+    running: np.ndarray  # (1,) 1 above the low-speed gate, 0 below
+
+
+@njit(cache=True)
+def gains(a11, a21, c21, beta, vx, car, settings, h):
+    """Gains l11, l21, l22 that place the poles; l12 is 0. A step of h must stay stable with the yaw pole."""
+    damping = (car.a * car.a * car.stiffness_front + car.b * car.b * car.stiffness_rear) / (
+        car.yaw_inertia * vx
+    )
+    cosine = math.cos(beta)
+    l22 = (1.0 - min(settings.slip_pole, 1.0)) * cosine * cosine / vx
+    return a11 + min(settings.yaw_pole * damping, 1.0 / h), a21 - l22 * c21, l22
+
+
+@njit(cache=True)
+def saturate(value, layer):
+    """Boundary layer of the sliding mode: linear inside, constant outside."""
+    return min(max(value, -layer), layer)
+
+
+@njit(cache=True)
+def move(state, yaw_acceleration, beta_rate, h):
+    """One Euler step of the state, which is held inside meaningful ranges."""
+    mean = state.mean
+    mean[0] = min(max(mean[0] + h * yaw_acceleration, -MAX_YAW_RATE), MAX_YAW_RATE)
+    mean[1] = min(max(mean[1] + h * beta_rate, -MAX_BETA), MAX_BETA)
+
+
+@njit(cache=True)
+def observer_start(state, sample, car, out):
+    """Answer where the car is slow and start on the first sample above the gate; True where it did either."""
+    slow = below_gate(sample)
+    if not slow and state.running[0] == 1:
+        return False
+    low_speed_answer(sample, car, out)
+    state.running[0] = 0 if slow else 1
+    state.mean[0] = sample[YAW_RATE] if math.isfinite(sample[YAW_RATE]) else 0.0
+    state.mean[1] = out[BETA]
+    state.error2[0] = ((car.stiffness_front + car.stiffness_rear) / car.mass * out[BETA_STD]) ** 2
+    return True
+
+
+@njit(cache=True)
+def observer_answer(state, sample, ay, car, settings, dt, out):
+    """Write beta and the stated measure of its error (see the head of this file)."""
+    stiffness = car.stiffness_front + car.stiffness_rear
+    error2 = (settings.missing_steer * sample[STEER_HELD] * car.stiffness_front / car.mass) ** 2
+    if math.isfinite(sample[AY]):
+        error2 += (sample[AY] - ay) ** 2
+    else:
+        error2 += max(state.error2[0], (stiffness / car.mass * 0.02) ** 2)  # nothing known: as at the start
+    state.error2[0] += (1.0 - math.exp(-dt / settings.memory)) * (min(error2, 400.0) - state.error2[0])
+    out[BETA] = state.mean[1]
+    spread = math.sqrt(state.error2[0]) * car.mass / stiffness
+    out[BETA_STD] = math.hypot(math.hypot(settings.floor, settings.share * out[BETA]), spread)
+    out[NIS] = math.nan
+
+
+@njit(cache=True)
+def correct(state, sample, rates, ay, a11, a21, c21, car, settings, layers, h):
+    """One Euler step of the model's rates and the gains times the innovations, held inside their layers."""
+    if not math.isfinite(sample[YAW_RATE]):  # ay alone cannot hold the observer: it runs on its model
+        move(state, rates[0], rates[1], h)
+        return
+    l11, l21, l22 = gains(a11, a21, c21, state.mean[1], sample[VX], car, settings, h)
+    error_yaw = saturate(sample[YAW_RATE] - state.mean[0], layers[0])
+    if math.isfinite(sample[AY]):
+        correction = l21 * error_yaw + l22 * saturate(sample[AY] - ay, layers[1])
+    else:  # without l22 it is a21 that keeps the yaw error out of beta
+        correction = a21 * error_yaw
+    move(state, rates[0] + l11 * error_yaw, rates[1] + correction, h)
+
+
+@njit(cache=True)
+def luenberger_step(state, sample, car, settings, dt, out):
+    """One sample of the linear observer; `out` ``(3,)`` gets beta, its stated error and NaN."""
+    if observer_start(state, sample, car, out):
+        return
+    mean, vx, steer, steer_rear = state.mean, sample[VX], sample[STEER], sample[STEER_REAR]
+    steps = stable_substeps(vx, dt, car)
+    for _ in range(steps):
+        rates, ay, (a11, a21, c21, _, _, _) = linear_single_track_rates(
+            mean[0], mean[1], vx, steer, steer_rear, car
+        )
+        correct(state, sample, rates, ay, a11, a21, c21, car, settings, NO_LAYERS, dt / steps)
+    _, ay, _ = linear_single_track_rates(mean[0], mean[1], vx, steer, steer_rear, car)
+    observer_answer(state, sample, ay, car, settings, dt, out)
+
+
+@njit(cache=True)
+def nonlinear_step(state, sample, car, settings, layers, dt, out):
+    """One sample of an observer on the nonlinear single track; boundary layers (2,) of its innovations."""
+    if observer_start(state, sample, car, out):
+        return
+    mean, vx, steer, steer_rear = state.mean, sample[VX], sample[STEER], sample[STEER_REAR]
+    fxf, fxr = sample[FXF], sample[FXR]
+    ax = sample[AX] if math.isfinite(sample[AX]) else 0.0
+    ay_seen = sample[AY] if math.isfinite(sample[AY]) else 0.0
+    steps = stable_substeps(vx, dt, car)
+    for _ in range(steps):
+        rates, (_, ay), (a11, a21, _, c21, _, _, _, _) = single_track_rates(
+            mean[0], mean[1], vx, steer, steer_rear, fxf, fxr, ax, ay_seen, car
+        )
+        correct(state, sample, rates, ay, a11, a21, c21, car, settings, layers, dt / steps)
+    _, (_, ay), _ = single_track_rates(mean[0], mean[1], vx, steer, steer_rear, fxf, fxr, ax, ay_seen, car)
+    observer_answer(state, sample, ay, car, settings, dt, out)
+
+
+@njit(cache=True)
+def extended_step(state, sample, car, settings, dt, out):
+    """One sample of the extended observer; `out` ``(3,)`` gets beta, its stated error and NaN."""
+    nonlinear_step(state, sample, car, settings, NO_LAYERS, dt, out)
+
+
+@njit(cache=True)
+def sliding_step(state, sample, car, settings, dt, out):
+    """One sample of the sliding-mode observer; `out` ``(3,)`` gets beta, its stated error and NaN."""
+    nonlinear_step(state, sample, car, settings, (settings.yaw_layer, settings.ay_layer), dt, out)
+
+
+@njit(cache=True)
+def luenberger_run(state, samples, car, settings, dt, out):
+    """All samples of the linear observer."""
+    for k in range(samples.shape[0]):
+        luenberger_step(state, samples[k], car, settings, dt, out[k])
+
+
+@njit(cache=True)
+def extended_run(state, samples, car, settings, dt, out):
+    """All samples of the extended observer."""
+    for k in range(samples.shape[0]):
+        extended_step(state, samples[k], car, settings, dt, out[k])
+
+
+@njit(cache=True)
+def sliding_run(state, samples, car, settings, dt, out):
+    """All samples of the sliding-mode observer."""
+    for k in range(samples.shape[0]):
+        sliding_step(state, samples[k], car, settings, dt, out[k])
+
+
+def _observer() -> Observer:
+    return Observer(np.zeros(2), np.zeros(1), np.zeros(1, dtype=np.int64))
+
+
+@dataclass(frozen=True)
+class Luenberger(KernelFilter):
+    """Luenberger observer on the linear single track; `tyre` is not used."""
+
+    noise: ObserverGains = ObserverGains()
+
+    step_kernel = staticmethod(luenberger_step)
+    run_kernel = staticmethod(luenberger_run)
+
+    def make_state(self) -> Any:
+        """Make an unstarted observer."""
+        return _observer()
+
+
+@dataclass(frozen=True)
+class ExtendedLuenberger(KernelFilter):
+    """Luenberger observer on the nonlinear single track."""
+
+    noise: ObserverGains = ObserverGains()
+
+    step_kernel = staticmethod(extended_step)
+    run_kernel = staticmethod(extended_run)
+
+    def make_state(self) -> Any:
+        """Make an unstarted observer."""
+        return _observer()
+
+
+@dataclass(frozen=True)
+class SlidingMode(KernelFilter):
+    """First-order sliding-mode observer on the nonlinear single track."""
+
+    noise: SlidingGains = SlidingGains()
+
+    step_kernel = staticmethod(sliding_step)
+    run_kernel = staticmethod(sliding_run)
+
+    def make_state(self) -> Any:
+        """Make an unstarted observer."""
+        return _observer()

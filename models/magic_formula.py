@@ -1,0 +1,91 @@
+"""Magic Formula tyre with macro parameters: D'Inverno 2021, eq. 7 to 10; Pieralice 2018, eq. 5, without E.
+
+Signs are ISO: a positive slip angle gives a positive (leftward) force. The printed slip angles (D'Inverno
+2021, eq. 11) have the opposite sign to the tyre law and are turned round in `crosscomb.models.planar`.
+"""
+
+from __future__ import annotations
+
+import math
+
+from numba import njit
+
+
+@njit(cache=True)
+def magic_formula(slip, stiffness_factor, shape, peak, curvature):
+    """Force of a tyre at pure slip: D sin(C atan(B s - E (B s - atan(B s)))), D'Inverno 2021, eq. 7.
+
+    Parameters
+    ----------
+    slip : float
+        Slip angle [rad] or slip ratio [-].
+    stiffness_factor, shape, curvature : float
+        B [1/rad or -], C and E; B C D is the slope at zero slip.
+    peak : float [N]
+        D.
+
+    Returns
+    -------
+    force, slope : float [N], float [N per unit of slip]
+    """
+    w = stiffness_factor * slip
+    bent = w - curvature * (w - math.atan(w))
+    phase = shape * math.atan(bent)
+    bent_slope = stiffness_factor * (1.0 - curvature * w * w / (1.0 + w * w))
+    slope = peak * shape * math.cos(phase) * bent_slope / (1.0 + bent * bent)
+    return peak * math.sin(phase), slope
+
+
+@njit(cache=True)
+def magic_formula_bend(slip, stiffness_factor, shape, peak, curvature):
+    """Second derivative of the force of `magic_formula` by the slip [N per unit of slip squared].
+
+    Parameters
+    ----------
+    slip, stiffness_factor, shape, peak, curvature
+        As in `magic_formula`.
+    """
+    w = stiffness_factor * slip
+    square = 1.0 + w * w
+    bent = w - curvature * (w - math.atan(w))
+    bent_slope = stiffness_factor * (1.0 - curvature * w * w / square)
+    bent_bend = -curvature * stiffness_factor * stiffness_factor * 2.0 * w / (square * square)
+    width = 1.0 + bent * bent
+    phase = shape * math.atan(bent)
+    phase_slope = bent_slope / width
+    phase_bend = (bent_bend - 2.0 * bent * bent_slope * phase_slope) / width
+    return peak * shape * (math.cos(phase) * phase_bend - shape * math.sin(phase) * phase_slope * phase_slope)
+
+
+@njit(cache=True)
+def peak_friction(load, a1, a2):
+    """Friction coefficient that falls with the load: mu = a1 Fz + a2, D'Inverno 2021, eq. 8.
+
+    Parameters
+    ----------
+    load : float [N]
+    a1 : float [1/N]
+        Negative.
+    a2 : float
+    """
+    return a1 * load + a2
+
+
+@njit(cache=True)
+def combined_slip_weight(slip, stiffness_factor, shape, curvature):
+    """Weight G of the force when the tyre also slips the other way, D'Inverno 2021, eq. 9.
+
+    G = cos(C atan(B s - E (B s - atan(B s)))), with the slip ratio for the lateral force. With the macro
+    parameters of the longitudinal force this is the friction circle: that force over its peak is the sine of
+    the same phase, so G = sqrt(1 - (Fx / D)^2). Where the longitudinal force is known and the slip ratio is
+    not, as in our models, `crosscomb.models.tyres.lateral_capacity` therefore takes its place.
+
+    Parameters
+    ----------
+    slip : float
+        Slip ratio [-] for the lateral force, slip angle [rad] for the longitudinal force.
+    stiffness_factor, shape, curvature : float
+        B, C and E of the weight.
+    """
+    w = stiffness_factor * slip
+    return math.cos(shape * math.atan(w - curvature * (w - math.atan(w))))

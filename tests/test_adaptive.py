@@ -1,0 +1,497 @@
+"""Adaptive extended Kalman filters: tyre laws, Jacobians, twins on filterpy, consistency, adaptation."""
+
+import math
+
+import numpy as np
+import pytest
+from filterpy.kalman import KalmanFilter
+from scipy.stats import chi2
+
+from crosscomb.filters import base
+from crosscomb.filters.base import SAMPLE_WIDTH, Inputs, KernelFilter
+from crosscomb.filters.catalogue import CATALOGUE, make_filter, settings_of
+from crosscomb.filters.dual_ekf import DualEKF, DualNoise
+from crosscomb.filters.friction_adaptive_ekf import FrictionAdaptiveEKF, FrictionNoise
+from crosscomb.filters.leading import consider_update, propagate_leading
+from crosscomb.filters.reference_adaptive import (
+    reference_dual_ekf,
+    reference_friction_adaptive_ekf,
+    reference_tyre_ekf,
+)
+from crosscomb.filters.tyre_adaptive_ekf import LINT, RATES, RATT, RATTE, TyreNoise
+from crosscomb.models import parameter_track as track_model
+from crosscomb.models.single_track import SingleTrack, single_track, single_track_rates
+from crosscomb.models.tyres import (
+    dugoff_by_capacity,
+    dugoff_tyre,
+    modified_dugoff_tyre,
+    rational_parameters,
+    rational_tyre,
+)
+from crosscomb.models.vehicle import load_vehicle
+
+GOLF = load_vehicle("golf_gti_2018")
+DT = 0.01
+NAMES = ("lint_ekf", "ratt_ekf", "ratte_ekf", "dual_ekf", "friction_adaptive_ekf")
+TWINS = {
+    "lint_ekf": reference_tyre_ekf,
+    "ratt_ekf": reference_tyre_ekf,
+    "ratte_ekf": reference_tyre_ekf,
+    "dual_ekf": reference_dual_ekf,
+    "friction_adaptive_ekf": reference_friction_adaptive_ekf,
+}
+LAW_OF = {"lint_ekf": "linear", "ratt_ekf": "rational", "ratte_ekf": "rational", "dual_ekf": "rational"}
+
+
+def slope_of(function, at: float, step: float = 1e-6) -> float:
+    """Derivative as a central difference."""
+    return (function(at + step) - function(at - step)) / (2.0 * step)
+
+
+def drive(
+    parameters: np.ndarray,
+    law: int,
+    car: SingleTrack,
+    steer: np.ndarray,
+    vx: float = 20.0,
+    noise: float = 0.0,
+    seed: int = 0,
+) -> tuple[Inputs, np.ndarray]:
+    """Samples of a car on tyres of these parameters at constant speed, in 1 ms steps, and its beta."""
+    rng = np.random.default_rng(seed)
+    slopes, by = np.zeros(track_model.SLOPES_SHAPE), np.zeros((4, 2))
+    samples = np.zeros((len(steer), SAMPLE_WIDTH))
+    samples[:, base.VFL :] = np.nan
+    truth = np.empty(len(steer))
+    yaw_rate = beta = 0.0
+    for k, angle in enumerate(steer):
+        given = (vx, angle, 0.0, 0.0, 0.0, 0.0, 0.0, law, parameters, car, by, slopes)
+        for _ in range(10):
+            beta_rate, yaw_acceleration, ay = track_model.parameter_track_rates(yaw_rate, beta, *given)
+            beta += 0.1 * DT * beta_rate
+            yaw_rate += 0.1 * DT * yaw_acceleration
+        truth[k] = beta
+        samples[k, [base.VX, base.STEER, base.YAW_RATE, base.AY]] = vx, angle, yaw_rate, ay
+    samples[:, base.YAW_RATE] += noise * 0.005 * rng.normal(size=len(steer))
+    samples[:, base.AY] += noise * 0.2 * rng.normal(size=len(steer))
+    return Inputs(DT, samples), truth
+
+
+def slalom(seconds: float, amplitude: float) -> np.ndarray:
+    """Steering angles at 100 Hz."""
+    return amplitude * np.sin(2.0 * np.pi * 0.4 * np.arange(0.0, seconds, DT))
+
+
+def rmse_deg(beta: np.ndarray, truth: np.ndarray) -> float:
+    return float(np.degrees(np.sqrt(np.mean((beta - truth) ** 2))))
+
+
+# --- tyre laws --------------------------------------------------------------------------------------------
+
+
+def test_rational_tyre_is_the_printed_law_with_its_derivatives() -> None:
+    rng = np.random.default_rng(1)
+    for _ in range(50):
+        alpha, c1, c2, mu, ratio = rng.uniform([-0.6, 0.001, 5e4, 0.2, 0.6], [0.6, 0.03, 6e5, 1.1, 1.4])
+        force, slope, by_c1, by_c2 = rational_tyre(alpha, c1, c2, mu, ratio)
+        assert force == pytest.approx(c2 * mu * ratio * alpha * c1 * (mu + 1) / (alpha**2 + c1 * (mu + 1)))
+        assert slope == pytest.approx(
+            slope_of(lambda a, p=(c1, c2, mu, ratio): rational_tyre(a, *p)[0], alpha), rel=1e-5
+        )
+        assert by_c1 == pytest.approx(
+            slope_of(lambda c, a=alpha, p=(c2, mu, ratio): rational_tyre(a, c, *p)[0], c1, 1e-7), rel=1e-5
+        )
+        assert by_c2 == pytest.approx(force / c2)
+
+
+@pytest.mark.parametrize("friction", [0.3, 0.9, 1.1])
+def test_default_rational_parameters_keep_the_slope_and_the_peak_of_the_vehicle_file(friction: float) -> None:
+    stiffness, load = 110e3, 9e3
+    c1, c2 = rational_parameters(stiffness, friction, load)
+    alpha = np.linspace(0.0, 1.0, 200_001)
+    force = np.array([rational_tyre(a, c1, c2, friction, 1.0)[0] for a in alpha[::20]])
+    assert rational_tyre(0.0, c1, c2, friction, 1.0)[1] == pytest.approx(stiffness)
+    assert force.max() == pytest.approx(friction * load, rel=1e-6)
+    # The published truck tyre: c1, c2 of its front axle have their slope and peak where the law says.
+    truck_c1, truck_c2 = 0.01286, 486735.0
+    assert rational_tyre(0.0, truck_c1, truck_c2, 1.0, 1.0)[1] == pytest.approx(truck_c2)
+
+
+def test_modified_dugoff_has_the_given_slope_and_a_peak() -> None:
+    stiffness, capacity, mu = 100e3, 8e3, 0.9
+    law = lambda a: modified_dugoff_tyre(a, stiffness, capacity, mu)  # noqa: E731
+    assert law(0.0)[1] == pytest.approx(stiffness)
+    alphas = np.linspace(0.001, 1.2, 400)
+    forces = np.array([law(a)[0] for a in alphas])
+    peak = forces.argmax()
+    assert 0.05 < alphas[peak] < 0.4, "plain Dugoff has no peak at all"
+    assert 0.85 * capacity < forces[peak] < 1.1 * capacity
+    assert (forces > 0.0).all()
+    for alpha in (0.02, 0.1, 0.3, 0.6, 1.1):
+        assert law(-alpha)[0] == -law(alpha)[0]
+        assert law(alpha)[1] == pytest.approx(slope_of(lambda a: law(a)[0], alpha), rel=1e-5)
+
+
+def test_dugoff_by_capacity_is_the_derivative() -> None:
+    for alpha in (-0.5, -0.1, -0.01, 0.02, 0.08, 0.3):
+        expected = slope_of(lambda c, a=alpha: dugoff_tyre(a, 100e3, c)[0], 6e3, 0.1)
+        assert dugoff_by_capacity(alpha, 100e3, 6e3) == pytest.approx(expected, abs=1e-6)
+
+
+# --- single track under parameters ------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("law", [track_model.STIFFNESS, track_model.RATIONAL, track_model.FRICTION])
+def test_slopes_by_state_and_parameters_are_derivatives(law: int) -> None:
+    car = single_track(GOLF)
+    first = track_model.first_parameters(law, car)
+    slopes, unused, by = (
+        np.zeros(track_model.SLOPES_SHAPE),
+        np.zeros(track_model.SLOPES_SHAPE),
+        np.zeros((4, 2)),
+    )
+    rng = np.random.default_rng(3)
+    for _ in range(200):
+        point = np.concatenate(
+            [rng.uniform([-0.4, -1.0], [0.4, 1.0]), first * rng.uniform(0.6, 1.6, len(first))]
+        )
+        vx, steer, steer_rear = rng.uniform([4.0, -0.3, -0.1], [45.0, 0.3, 0.1])
+        fxf, fxr, ax, ay = rng.uniform(-1.0, 1.0, 4) * [4e3, 4e3, 5.0, 5.0]
+        rest = (vx, steer, steer_rear, fxf, fxr, ax, ay, law)
+
+        def rates(x: np.ndarray, rest=rest) -> np.ndarray:
+            return np.array(track_model.parameter_track_rates(x[1], x[0], *rest, x[2:], car, by, unused))
+
+        track_model.parameter_track_rates(point[1], point[0], *rest, point[2:], car, by, slopes)
+        steps = np.concatenate([[1e-6, 1e-6], 1e-6 * first])
+        expected = np.stack(
+            [(rates(point + s) - rates(point - s)) / (2.0 * s.max()) for s in np.diag(steps)], axis=1
+        )
+        found = slopes[:, [0, 1, *range(3, 3 + len(first))]]
+        scale = np.abs(expected).max(axis=0) + 1e-12
+        np.testing.assert_allclose(found / scale, expected / scale, atol=2e-5)
+
+
+@pytest.mark.parametrize("law", ["linear", "dugoff"])
+def test_parameters_of_the_file_give_the_single_track(law: str) -> None:
+    car = single_track(GOLF, law)
+    number = track_model.LAWS[law]
+    slopes, by = np.zeros(track_model.SLOPES_SHAPE), np.zeros((4, 2))
+    given = (0.4, 0.05, 18.0, 0.08, 0.01, 500.0, 800.0, 1.0, 6.0)
+    found = track_model.parameter_track_rates(
+        *given, number, track_model.first_parameters(number, car), car, by, slopes
+    )
+    (yaw_acceleration, beta_rate), (_, ay), jacobian = single_track_rates(*given, car)
+    assert found == pytest.approx((beta_rate, yaw_acceleration, ay))
+    assert slopes[:, 1] == pytest.approx(np.array(jacobian)[[1, 0, 3]])
+    assert slopes[:, 0] == pytest.approx(np.array(jacobian)[[5, 4, 7]])
+
+
+def test_lateral_acceleration_from_motion_is_that_of_the_forces() -> None:
+    # Di Biase's u (beta_rate + r) is off by ax tan(beta) and by the angle; eq. 39 as corrected is exact.
+    car = single_track(GOLF, "dugoff")
+    yaw_rate, beta, vx = 0.5, -0.2, 15.0
+    rates, (ax, ay), _ = single_track_rates(yaw_rate, beta, vx, 0.1, 0.0, -3000.0, -3000.0, -3.0, 4.0, car)
+    found, by_beta, by_rate = track_model.lateral_acceleration(beta, yaw_rate, rates[1], vx, ax)
+    assert found == pytest.approx(ay, rel=1e-12)
+    assert abs(vx * (rates[1] + yaw_rate) - ay) > 0.3, "the printed form differs here"
+    motion = track_model.lateral_acceleration
+    assert by_beta == pytest.approx(
+        slope_of(lambda b: motion(b, yaw_rate, rates[1], vx, ax)[0], beta), rel=1e-6
+    )
+    assert by_rate == pytest.approx(
+        slope_of(lambda r: motion(beta, r, rates[1], vx, ax)[0], yaw_rate), rel=1e-6
+    )
+
+
+# --- steps with constant states behind --------------------------------------------------------------------
+
+
+def test_leading_steps_are_the_kalman_filter() -> None:
+    rng = np.random.default_rng(4)
+    n, m = 6, 3
+    root = rng.normal(size=(n, n))
+    cov, rows = root @ root.T, rng.normal(size=(m, n))
+    full = np.vstack([rows, np.eye(n)[m:]])
+    found = cov.copy()
+    propagate_leading(found, rows, np.empty((m, n)))
+    np.testing.assert_allclose(found, full @ cov @ full.T, rtol=1e-12)
+
+    kf = KalmanFilter(dim_x=n, dim_z=1)
+    kf.x, kf.P, kf.H, kf.R = rng.normal(size=(n, 1)), cov.copy(), rng.normal(size=(1, n)), np.array([[0.3]])
+    mean, found = kf.x[:, 0].copy(), cov.copy()
+    consider_update(mean, found, kf.H[0], 1.7 - kf.H[0] @ mean, 0.3, n, np.empty(n), np.empty(n))
+    kf.update(1.7)
+    np.testing.assert_allclose(mean, kf.x[:, 0], rtol=1e-10)
+    np.testing.assert_allclose(found, kf.P, rtol=1e-9, atol=1e-12)
+
+
+def test_considered_states_stay_and_their_doubt_counts() -> None:
+    rng = np.random.default_rng(5)
+    root = rng.normal(size=(5, 5))
+    cov, h, r = root @ root.T, rng.normal(size=5), 0.2
+    mean, found = np.zeros(5), cov.copy()
+    consider_update(mean, found, h, 1.0, r, 3, np.empty(5), np.empty(5))
+    gain = cov @ h / (h @ cov @ h + r)
+    gain[3:] = 0.0
+    left = np.eye(5) - np.outer(gain, h)
+    np.testing.assert_allclose(found, left @ cov @ left.T + r * np.outer(gain, gain), rtol=1e-10, atol=1e-12)
+    np.testing.assert_allclose(mean, gain)
+    np.testing.assert_array_equal(found[3:, 3:], cov[3:, 3:])
+
+
+# --- filters ----------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def rough() -> Inputs:
+    """Hard slalom with gaps, held inputs, a stop and noise."""
+    inputs, _ = drive(
+        track_model.first_parameters(track_model.FRICTION, single_track(GOLF)) * 0.7,
+        track_model.FRICTION,
+        single_track(GOLF),
+        slalom(8.0, 0.09),
+        noise=1.0,
+    )
+    samples, rng = inputs.samples, np.random.default_rng(6)
+    samples[:, base.AX] = 2.0 * np.sin(np.arange(800) * 0.02)
+    samples[:, base.FXF] = samples[:, base.FXR] = 0.5 * GOLF.mass * samples[:, base.AX]
+    for column in (base.AX, base.AY, base.YAW_RATE):
+        samples[rng.random(800) < 0.05, column] = np.nan
+    samples[100:120, [base.AY, base.YAW_RATE]] = np.nan
+    samples[200:215, base.STEER_HELD] = 1.0
+    samples[400:420, base.VX] = 1.0
+    samples[420:480, base.VX] = 4.0
+    return inputs
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_kernel_agrees_with_its_twin_on_filterpy(name: str, rough: Inputs) -> None:
+    estimator = make_filter(name, GOLF)
+    found, expected = estimator.run(rough), TWINS[name](estimator, rough)
+    np.testing.assert_allclose(found.beta, expected.beta, atol=1e-9)
+    np.testing.assert_allclose(found.beta_std, expected.beta_std, atol=1e-9)
+    np.testing.assert_allclose(found.nis, expected.nis, rtol=1e-6, atol=1e-9)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_step_by_step_gives_the_bits_of_the_batch(name: str, rough: Inputs) -> None:
+    estimator = make_filter(name, GOLF)
+    batch, started = estimator.run(rough), estimator.start(rough.dt)
+    for k, sample in enumerate(rough.samples):
+        beta, beta_std, _ = estimator.step(started, sample)
+        assert (beta, beta_std) == (batch.beta[k], batch.beta_std[k])
+        assert tuple(started.out[3:]) == tuple(values[k] for values in batch.extra.values())
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_nonsense_leaves_the_estimate_finite_and_the_tyres_in_range(name: str) -> None:
+    rng = np.random.default_rng(7)
+    samples = np.zeros((2000, SAMPLE_WIDTH))
+    samples[:, base.VX] = np.abs(20.0 + np.cumsum(rng.normal(0.0, 0.5, 2000)))
+    samples[:, [base.AX, base.AY]] = rng.normal(0.0, 30.0, (2000, 2))
+    samples[:, base.YAW_RATE] = rng.normal(0.0, 5.0, 2000)
+    samples[:, base.STEER] = rng.uniform(-0.7, 0.7, 2000)
+    samples[:, [base.FXF, base.FXR]] = rng.normal(0.0, 2e4, (2000, 2))
+    samples[rng.random(2000) < 0.3, base.AY] = np.nan
+    samples[700:900, [base.AX, base.AY, base.YAW_RATE]] = np.nan
+    estimator = make_filter(name, GOLF)
+    result = estimator.run(Inputs(DT, samples))
+    assert np.isfinite(result.beta).all()
+    assert np.isfinite(result.beta_std).all()
+    assert np.abs(result.beta).max() <= base.MAX_BETA
+    for text, values in result.extra.items():
+        if "friction" in text:
+            assert (values >= 0.08).all()
+            assert (values <= 1.5).all()
+        else:
+            factor = estimator.noise.parameter_range ** (2 if text.startswith("c1") else 1)
+            assert values.max() <= values[0] * factor * (1.0 + 1e-12)
+            assert values.min() >= values[0] / factor * (1.0 - 1e-12)
+
+
+@pytest.mark.parametrize("name", [n for n in NAMES if n != "ratt_ekf"])
+def test_straight_and_slow_driving_teach_nothing(name: str) -> None:
+    rng = np.random.default_rng(8)
+    samples = np.zeros((3000, SAMPLE_WIDTH))
+    samples[:, base.VX] = 25.0
+    samples[:, base.AY] = 0.3 + rng.normal(0.0, 0.15, 3000)  # a banked straight
+    samples[:, base.YAW_RATE] = rng.normal(0.0, 0.01, 3000)
+    samples[2000:, base.VX], samples[2000:, base.AY] = 4.0, 3.0  # a wrong sensor at walking speed
+    result = make_filter(name, GOLF).run(Inputs(DT, samples))
+    for text, values in result.extra.items():
+        assert (values == values[0]).all(), text
+
+
+@pytest.mark.parametrize("name", [n for n in NAMES if n != "friction_adaptive_ekf"])
+def test_noiseless_data_of_its_own_model_gives_the_truth(name: str) -> None:
+    steer, vx = slalom(4.0, 0.05), 22.0
+    estimator = make_filter(name, GOLF)
+    truth, samples = own_model(estimator, steer, vx)
+    state = estimator.make_state()
+    state.running[0] = 1
+    state.mean[: len(truth[0])] = truth[0]
+    out = np.full((len(steer) - 1, 3 + len(estimator.extras)), np.nan)
+    estimator.run_kernel(state, samples[1:], estimator.car, estimator.noise, DT, out)
+    index = 1 if name == "dual_ekf" else 0
+    assert np.abs(truth[1:, index]).max() > 0.01
+    np.testing.assert_allclose(out[:, base.BETA], truth[1:, index], atol=1e-9)
+
+
+def own_model(
+    estimator: KernelFilter,
+    steer: np.ndarray,
+    vx: float,
+    parameters: np.ndarray | None = None,
+    first: np.ndarray | None = None,
+    shocks: np.ndarray | None = None,
+) -> tuple[np.ndarray, np.ndarray]:
+    """States and samples of the filter's discrete model: [yaw_rate, beta] or Di Biase's four rates.
+
+    `shocks` ``(n, 2)`` add to yaw acceleration and slip rate (Di Biase) or to yaw rate and beta.
+    """
+    car = estimator.car
+    if parameters is None:
+        parameters = track_model.first_parameters(car.law, car.track)
+    slopes, by = np.zeros(track_model.SLOPES_SHAPE), np.zeros((4, 2))
+    rates_as_states = isinstance(estimator, RATT)
+    state = np.zeros(4 if rates_as_states else 2) if first is None else first.copy()
+    states, samples = [state.copy()], np.zeros((len(steer), SAMPLE_WIDTH))
+    samples[:, base.VX], samples[:, base.STEER] = vx, steer
+    shocks = np.zeros((len(steer), 2)) if shocks is None else shocks
+    for k in range(1, len(steer)):
+        # The model takes the friction in use from ay; small here, so that it is the file's.
+        beta, yaw_rate = (state[0], state[1]) if rates_as_states else (state[1], state[0])
+        given = (vx, steer[k], 0.0, 0.0, 0.0, 0.0, 0.0, car.law, parameters, car.track, by, slopes)
+        beta_rate, yaw_acceleration, _ = track_model.parameter_track_rates(yaw_rate, beta, *given)
+        if rates_as_states:
+            state = np.array([beta + DT * state[2], yaw_rate + DT * state[3], beta_rate, yaw_acceleration])
+            state[[3, 2]] += shocks[k]
+            ay, _, _ = track_model.lateral_acceleration(*state[:3], vx, 0.0)
+        else:
+            state = np.array([yaw_rate + DT * yaw_acceleration, beta + DT * beta_rate]) + shocks[k]
+            _, _, ay = track_model.parameter_track_rates(*state, *given)
+        samples[k, base.YAW_RATE] = state[1] if rates_as_states else state[0]
+        samples[k, base.AY] = ay
+        states.append(state.copy())
+    return np.array(states), samples
+
+
+@pytest.mark.parametrize("cls", [LINT, RATT, RATTE])
+def test_errors_are_as_large_as_the_filter_says(cls: type[RATT]) -> None:
+    """NEES and NIS over runs of the filter's own model with drawn start, tyres and noise."""
+    noise = TyreNoise(
+        steer=0.0, yaw_acceleration=0.05, slip_rate=0.005, yaw_rate=0.01, ay=0.3,
+        parameter_walk=0.0, parameter_spread=0.03, parameter_range=3.0, adapt_ay=0.0, adapt_speed=0.0,
+    )  # fmt: skip
+    estimator, runs, steps, vx = cls(GOLF, noise), 60, 120, 22.0
+    rng = np.random.default_rng(9)
+    steer = slalom(steps * DT, 0.02)
+    n = len(estimator.make_state().cov)
+    nees, nis = [], []
+    for _ in range(runs):
+        state = estimator.make_state()
+        limits = state.limits
+        drawn = rng.normal(size=n)
+        cov = np.diag([0.01**2, 0.01**2, 0.05**2, 0.1**2])
+        state.cov[:RATES, :RATES] = cov
+        first = drawn[:RATES] * np.sqrt(np.diag(cov))
+        tyres = limits.first + (limits.spread * drawn[RATES:] if n > RATES else 0.0)
+        shocks = rng.normal(size=(steps, 2)) * [noise.yaw_acceleration, noise.slip_rate] / math.sqrt(DT)
+        truth, samples = own_model(estimator, steer, vx, tyres, first, shocks)
+        samples[:, base.YAW_RATE] += noise.yaw_rate * rng.normal(size=steps)
+        samples[:, base.AY] += noise.ay * rng.normal(size=steps)
+        state.running[0] = 1
+        out = np.full(3 + len(estimator.extras), np.nan)
+        for k in range(1, steps):
+            estimator.step_kernel(state, samples[k], estimator.car, noise, DT, out)
+            nis.append(out[base.NIS])
+        error = np.concatenate([truth[-1], tyres])[:n] - state.mean[:n]
+        nees.append(error @ np.linalg.solve(state.cov, error))
+    inside(np.sum(nees), runs * n)
+    inside(np.sum(nis), 2 * len(nis))
+
+
+def inside(total: float, degrees: int) -> None:
+    """Check a sum of squared normal errors against its 99.9 % bounds."""
+    low, high = chi2.ppf([0.0005, 0.9995], degrees)
+    assert low < total < high
+
+
+@pytest.mark.parametrize("name", ["dual_ekf", "friction_adaptive_ekf"])
+def test_innovations_of_the_motion_filters_are_as_large_as_expected(name: str) -> None:
+    noises = {"yaw_acceleration": 0.1, "slip_rate": 0.01, "yaw_rate": 0.01, "ay": 0.3, "adapt_ay": 90.0}
+    cls, settings = (
+        (DualEKF, DualNoise(**noises))
+        if name == "dual_ekf"
+        else (FrictionAdaptiveEKF, FrictionNoise(**noises))
+    )
+    estimator = cls(GOLF, settings)
+    rng = np.random.default_rng(10)
+    steps, nis = 1500, []
+    shocks = rng.normal(size=(steps, 2)) * [0.1, 0.01] * math.sqrt(DT)
+    _, samples = own_model(estimator, slalom(steps * DT, 0.02), 22.0, shocks=shocks)
+    samples[:, base.YAW_RATE] += 0.01 * rng.normal(size=steps)
+    samples[:, base.AY] += 0.3 * rng.normal(size=steps)
+    result = estimator.run(Inputs(DT, samples))
+    nis = result.nis[300:]
+    inside(nis.sum(), 2 * len(nis))
+
+
+# --- adaptation -------------------------------------------------------------------------------------------
+
+
+def test_lint_learns_softer_tyres() -> None:
+    car = single_track(GOLF, "linear")
+    true = np.array([0.75, 0.8]) * track_model.first_parameters(track_model.STIFFNESS, car)
+    inputs, truth = drive(true, track_model.STIFFNESS, car, slalom(60.0, 0.03), noise=1.0)
+    result = LINT(GOLF).run(inputs)
+    front, rear = result.extra.values()
+    # The two axles share one lateral acceleration, so what is learned is half-way there after a minute.
+    for found, wanted in ((front, true[0]), (rear, true[1])):
+        assert abs(found[-1] - wanted) < 0.6 * abs(found[0] - wanted)
+    fixed = LINT(GOLF, TyreNoise(adapt_ay=99.0)).run(inputs)
+    assert rmse_deg(result.beta[3000:], truth[3000:]) < 0.6 * rmse_deg(fixed.beta[3000:], truth[3000:])
+
+
+@pytest.mark.parametrize("cls", [RATTE, DualEKF])
+def test_adapted_rational_tyres_beat_fixed_ones_on_a_wet_road(cls: type) -> None:
+    car = single_track(GOLF, "rational")
+    true = track_model.first_parameters(track_model.RATIONAL, car) * [0.6, 0.8, 0.6, 0.8]
+    inputs, truth = drive(true, track_model.RATIONAL, car, slalom(60.0, 0.06), noise=1.0)
+    adapted = rmse_deg(cls(GOLF).run(inputs).beta[3000:], truth[3000:])
+    assert adapted < 0.7 * rmse_deg(RATT(GOLF).run(inputs).beta[3000:], truth[3000:])
+
+
+def test_friction_is_learned_in_hard_turns_only() -> None:
+    car = single_track(GOLF)
+    snow = np.array([0.35])
+    hard, truth = drive(snow, track_model.FRICTION, car, slalom(30.0, 0.08), vx=15.0, noise=1.0)
+    gentle, _ = drive(snow, track_model.FRICTION, car, slalom(30.0, 0.008), vx=15.0, noise=1.0)
+    learned = FrictionAdaptiveEKF(GOLF).run(hard)
+    assert learned.extra["friction [-]"][-1] == pytest.approx(0.35, abs=0.08)
+    assert FrictionAdaptiveEKF(GOLF).run(gentle).extra["friction [-]"][-1] == pytest.approx(
+        GOLF.friction, abs=0.05
+    )
+    fixed = FrictionAdaptiveEKF(GOLF, FrictionNoise(adapt_ay=99.0)).run(hard)
+    assert rmse_deg(learned.beta[1000:], truth[1000:]) < 0.8 * rmse_deg(fixed.beta[1000:], truth[1000:])
+
+
+def test_friction_is_never_below_the_acceleration_in_use() -> None:
+    car = single_track(GOLF)
+    inputs, _ = drive(np.array([1.0]), track_model.FRICTION, car, slalom(20.0, 0.06))
+    result = FrictionAdaptiveEKF(GOLF.model_copy(update={"friction": 0.3})).run(inputs)
+    used = (
+        np.minimum(np.abs(inputs.samples[:, base.AY]), 20.0 * np.abs(inputs.samples[:, base.YAW_RATE]))
+        / 9.80665
+    )
+    used[np.abs(inputs.samples[:, base.AY]) <= 1.0] = 0.0
+    assert used.max() > 0.5
+    assert (result.extra["friction [-]"][1:] >= used[1:] - 1e-3).all()
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_catalogue_makes_the_filter_from_its_own_settings(name: str) -> None:
+    estimator = make_filter(name, GOLF)
+    assert make_filter(name, GOLF, settings_of(estimator)) == estimator
+    assert CATALOGUE[name].source

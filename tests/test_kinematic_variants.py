@@ -1,0 +1,227 @@
+"""Kinematic filters with help near zero yaw rate: no drift on straights, the plain filter in turns."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.stats import chi2
+
+from crosscomb.filters.base import (
+    AX,
+    AY,
+    LOW_SPEED_STD,
+    SAMPLE_WIDTH,
+    STEER,
+    STEER_REAR,
+    VX,
+    YAW_RATE,
+    Estimate,
+    Inputs,
+    KernelFilter,
+)
+from crosscomb.filters.kinematic_kf import KinematicKF, KinematicNoise
+from crosscomb.filters.kinematic_variants import (
+    LEAST_SHARE,
+    BlendKF,
+    BlendNoise,
+    ZeroYawKF,
+    straight_share,
+)
+from crosscomb.filters.reference import _walk
+from crosscomb.filters.reference_aided import reference_zero_yaw_kf
+from crosscomb.models.kinematic import input_gain, rotation, slip_of_rolling_rear
+from crosscomb.models.single_track import single_track_rates, stable_substeps
+from crosscomb.models.vehicle import load_vehicle
+
+DT = 0.01
+GOLF = load_vehicle("golf_gti_2018")
+VARIANTS: list[KernelFilter] = [ZeroYawKF(GOLF), BlendKF(GOLF)]
+each_variant = pytest.mark.parametrize("estimator", VARIANTS, ids=["zero yaw", "blend"])
+CAR = VARIANTS[0].car
+
+
+def lane_changes(steps: int, seed: int = 0) -> Inputs:
+    """Noisy samples with straights and bends to either side at 20 m/s."""
+    rng, t = np.random.default_rng(seed), DT * np.arange(steps)
+    samples = np.zeros((steps, SAMPLE_WIDTH))
+    samples[:, VX] = 20.0 + rng.normal(0.0, 0.05, steps)
+    samples[:, YAW_RATE] = 0.25 * np.sin(t) ** 3 + rng.normal(0.0, 0.005, steps)
+    samples[:, AX] = rng.normal(0.0, 0.2, steps)
+    samples[:, AY] = 5.0 * np.sin(t) ** 3 + 3.0 * np.cos(4.0 * t) + rng.normal(0.0, 0.3, steps)
+    samples[:, STEER] = 0.04 * np.sin(t) ** 3
+    samples[:, STEER_REAR] = 0.1 * samples[:, STEER]
+    samples[:, 10:] = np.nan
+    return Inputs(DT, samples)
+
+
+def test_zero_yaw_kernel_agrees_with_filterpy() -> None:
+    inputs = lane_changes(1500)
+    estimate, expected = VARIANTS[0].run(inputs), reference_zero_yaw_kf(VARIANTS[0], inputs)
+    for part in ("beta", "beta_std", "nis"):
+        np.testing.assert_allclose(getattr(estimate, part), getattr(expected, part), rtol=1e-9, atol=1e-9)
+    assert np.ptp(estimate.beta) > np.radians(1.0)
+
+
+def blend_transition(x: np.ndarray, sample: np.ndarray, share: float) -> np.ndarray:
+    """State of the blending model one sample later, without noise."""
+    given = (*sample[[VX, STEER, STEER_REAR]], 0.0, 0.0, sample[AX], sample[AY])
+    _, (_, ay), _ = single_track_rates(sample[YAW_RATE], np.arctan2(x[1], x[0]), *given, CAR)
+    lateral = (1.0 - share) * sample[AY] + share * ay
+    turned = np.reshape(rotation(sample[YAW_RATE], DT), (2, 2)) @ x
+    return turned + np.reshape(input_gain(sample[YAW_RATE], DT), (2, 2)) @ [sample[AX], lateral]
+
+
+def textbook_blend(noise: BlendNoise, inputs: Inputs) -> Estimate:
+    """The blending filter in plain numpy, its Jacobian by differences; without relaxation."""
+    x, p = np.zeros(2), np.eye(2)
+
+    def start(sample: np.ndarray, beta: float, beta_std: float) -> None:
+        x[:] = sample[VX] * np.array([1.0, np.tan(beta)])
+        p[:] = np.diag([noise.speed**2, (sample[VX] * beta_std) ** 2])
+
+    def step(sample: np.ndarray) -> tuple[float, float, float]:
+        share = np.exp(-((sample[YAW_RATE] / noise.turning) ** 2))
+        share = share if share > LEAST_SHARE else 0.0
+        assert stable_substeps(sample[VX], DT, CAR) == 1
+        ends = [
+            blend_transition(x + d, sample, share) - blend_transition(x - d, sample, share) for d in STEPS
+        ]
+        jacobian = np.array(ends).T / 2e-4
+        x[:] = blend_transition(x, sample, share)
+        p[:] = jacobian @ p @ jacobian.T + noise.accel**2 * DT * np.eye(2)
+        s = p[0, 0] + noise.speed**2
+        innovation, gain = sample[VX] - x[0], p[:, 0] / s
+        x[:] += gain * innovation
+        p[:] -= np.outer(gain, gain) * s
+        gradient = np.array([-x[1], x[0]]) / (x @ x)
+        return np.arctan2(x[1], x[0]), np.sqrt(gradient @ p @ gradient), innovation**2 / s
+
+    return _walk(inputs, CAR, start, step)
+
+
+STEPS = 1e-4 * np.eye(2)
+
+
+def test_blend_kernel_agrees_with_a_textbook_filter() -> None:
+    noise, inputs = BlendNoise(relaxation=0.0), lane_changes(1000)
+    inputs.samples[:, AX] = 0.0  # linear tyres below: no load transfer, no friction margin
+    estimate = BlendKF(GOLF, noise, "linear").run(inputs)
+    global CAR
+    CAR, before = BlendKF(GOLF, noise, "linear").car, CAR
+    try:
+        expected = textbook_blend(noise, inputs)
+    finally:
+        CAR = before
+    for part in ("beta", "beta_std", "nis"):
+        np.testing.assert_allclose(getattr(estimate, part), getattr(expected, part), rtol=1e-6, atol=1e-8)
+
+
+@each_variant
+def test_no_drift_on_a_straight(estimator) -> None:
+    samples = np.zeros((3000, SAMPLE_WIDTH))
+    samples[:, VX], samples[:, AY] = 20.0, 0.3  # a road with 3 % bank
+    samples[:, YAW_RATE] = 0.002
+    plain = KinematicKF(GOLF, KinematicNoise(relaxation=estimator.noise.relaxation)).run(Inputs(DT, samples))
+    helped = estimator.run(Inputs(DT, samples))
+    assert abs(plain.beta[-1]) > np.radians(4.0)
+    assert np.abs(helped.beta).max() < np.radians(0.7)
+    assert helped.beta_std[-1] < 0.4 * plain.beta_std[-1]
+
+
+@each_variant
+def test_in_turns_it_is_the_kinematic_filter_bit_for_bit(estimator) -> None:
+    inputs = lane_changes(1000)
+    inputs.samples[:, YAW_RATE] = 0.4 + 0.1 * np.sin(DT * np.arange(1000))
+    inputs.samples[:, AY] = 20.0 * inputs.samples[:, YAW_RATE] + 3.0 * np.cos(4.0 * DT * np.arange(1000))
+    noise = KinematicNoise(**{key: getattr(estimator.noise, key) for key in KinematicNoise._fields})
+    estimate, plain = estimator.run(inputs), KinematicKF(GOLF, noise).run(inputs)
+    np.testing.assert_array_equal(estimate.beta, plain.beta)
+    np.testing.assert_array_equal(estimate.beta_std, plain.beta_std)
+    assert np.ptp(plain.beta) > np.radians(1.0)
+
+
+def test_share_of_straight_driving() -> None:
+    assert straight_share(0.0, 0.1) == 1.0
+    assert straight_share(-0.1, 0.1) == straight_share(0.1, 0.1) == pytest.approx(np.exp(-1.0))
+    assert straight_share(0.4, 0.1) == 0.0
+    assert straight_share(np.nan, 0.1) == 0.0
+
+
+def test_blend_follows_its_own_model() -> None:
+    noise, inputs = BlendNoise(relaxation=0.0), lane_changes(1000)
+    x, beta = (
+        np.array([20.0, 20.0 * np.tan(slip_of_rolling_rear(*inputs.samples[0, [4, 5]], CAR.a, CAR.b))]),
+        [],
+    )
+    for k, sample in enumerate(inputs.samples):
+        if k:
+            x = blend_transition(x, sample, straight_share(sample[YAW_RATE], noise.turning))
+        # The model takes the speed as measured, and the same one as state: both are exact here.
+        sample[VX] = x[0]
+        beta.append(np.arctan2(x[1], x[0]))
+        if k + 1 < len(inputs.samples):
+            inputs.samples[k + 1, VX] = predicted_speed(x, inputs.samples[k + 1])
+    assert np.ptp(beta) > np.radians(1.0)
+    estimate = BlendKF(GOLF, noise).run(inputs)
+    np.testing.assert_allclose(estimate.beta, beta, rtol=0.0, atol=1e-9)
+
+
+def predicted_speed(x: np.ndarray, sample: np.ndarray) -> float:
+    """Speed at the end of the sample, which the tyres' share in ay hardly changes: solved by repetition."""
+    guess = sample.copy()
+    guess[VX] = x[0]
+    for _ in range(20):
+        guess[VX] = blend_transition(x, guess, straight_share(sample[YAW_RATE], BlendNoise().turning))[0]
+    return float(guess[VX])
+
+
+# Monte Carlo on drives of the filters' own stochastic models.
+
+RUNS, LENGTH = 150, 150
+
+
+def matched_drive(estimator: KernelFilter, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    noise, car = estimator.noise, estimator.car
+    samples, truth = lane_changes(LENGTH, 1).samples, np.empty((LENGTH, 2))
+    samples[:, [VX, AX]] = 20.0, 0.0
+    rolling = np.tan(slip_of_rolling_rear(*samples[0, [STEER, STEER_REAR]], car.a, car.b))
+    truth[0] = rng.normal(20.0, noise.speed), 20.0 * rng.normal(rolling, LOW_SPEED_STD)
+    for k in range(1, LENGTH):
+        sample = samples[k]
+        share = straight_share(sample[YAW_RATE], noise.turning)
+        blended = share if isinstance(estimator, BlendKF) else 0.0
+        truth[k] = blend_transition(truth[k - 1], sample, blended) + rng.normal(
+            0, noise.accel * np.sqrt(DT), 2
+        )
+        if isinstance(estimator, ZeroYawKF) and share > 0.0:
+            # Rear steering moves the steady slip alone: it makes the pseudo-measurement as the truth demands.
+            speed = 20.0
+            pseudo = truth[k, 1] + rng.normal(0.0, noise.pseudo * speed / np.sqrt(DT * share))
+            rear_slip = car.mass * car.a * sample[AY] / ((car.a + car.b) * car.stiffness_rear)
+            steady = car.b * sample[YAW_RATE] / speed - rear_slip
+            sample[STEER_REAR] = np.arctan(pseudo / speed) - steady
+    measured = truth[:, 0] + rng.normal(0.0, noise.speed, LENGTH)
+    return np.column_stack([measured, samples[:, 1:]]), truth
+
+
+@each_variant
+def test_errors_are_as_large_as_the_filter_says(estimator) -> None:
+    # A small error of speed, as the steady slip and the tyres take the measured speed as true.
+    estimator = replace(estimator, noise=estimator.noise._replace(speed=0.02, accel=0.3, relaxation=0.0))
+    rng, at = np.random.default_rng(6), (40, 90, 149)
+    nees, nis, count = dict.fromkeys(at, 0.0), 0.0, 0
+    for _ in range(RUNS):
+        samples, truth = matched_drive(estimator, rng)
+        started = estimator.start(DT)
+        for k, sample in enumerate(samples):
+            _, _, part = estimator.step(started, sample)
+            if k:
+                pseudo = isinstance(estimator, ZeroYawKF) and straight_share(sample[YAW_RATE], 0.1) > 0.0
+                nis, count = nis + part, count + 1 + pseudo
+            if k in nees:
+                error = truth[k] - started.state.mean
+                nees[k] += error @ np.linalg.solve(started.state.cov, error)
+    low, high = chi2.interval(0.999, count)
+    assert low < nis < high
+    low, high = chi2.interval(0.999, 2 * RUNS)
+    assert all(low < total < high for total in nees.values())
