@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -23,7 +23,7 @@ def markdown_table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 
 
 def score_rows(
-    rmse: pd.DataFrame, largest: pd.DataFrame, summaries: dict[str, Sequence[str]]
+    rmse: pd.DataFrame, largest: pd.DataFrame, summaries: Mapping[str, Sequence[str]]
 ) -> list[list[str]]:
     """Rows "RMSE / largest error" per recording, then the mean and the maximum over named sets of recordings.
 
@@ -65,8 +65,7 @@ HOW = {
 
 def write_benchmark(path: Path, suite: str, result: Benchmark, speeds: dict[str, float]) -> None:
     """Keep the tables of a benchmark in a Markdown file."""
-    table = result.evaluation.table
-    rmse, largest = table.xs("rmse", axis=1, level=1), table.xs("max", axis=1, level=1)
+    rmse, largest = result.evaluation.rmse, result.evaluation.largest
     scores = markdown_table(
         ["recording", *map(str, rmse.columns)], score_rows(rmse, largest, result.summaries)
     )

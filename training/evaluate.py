@@ -35,11 +35,19 @@ class Evaluation:
     confusion: np.ndarray
 
     @property
+    def rmse(self) -> pd.DataFrame:
+        """RMSE [deg], recordings as rows and estimators as columns."""
+        return pd.DataFrame(self.table.xs("rmse", axis=1, level=1))
+
+    @property
+    def largest(self) -> pd.DataFrame:
+        """Largest error [deg], recordings as rows and estimators as columns."""
+        return pd.DataFrame(self.table.xs("max", axis=1, level=1))
+
+    @property
     def overall(self) -> pd.DataFrame:
         """Mean RMSE over recordings and largest error per estimator [deg], estimators as rows."""
-        rmse = self.table.xs("rmse", axis=1, level=1).mean()
-        largest = self.table.xs("max", axis=1, level=1).max()
-        return pd.DataFrame({"rmse": rmse, "max": largest})
+        return pd.DataFrame({"rmse": self.rmse.mean(), "max": self.largest.max()})
 
     @property
     def best_single(self) -> str:
