@@ -191,12 +191,8 @@ def train(
     write_json(record_file, run_record("train", settings, inputs))
 
     for part, evaluation in training.evaluations.items():
-        table = evaluation.table
-        terminal.show_scores(
-            f"{part}: {len(table)} recordings",
-            table.xs("rmse", axis=1, level=1),
-            table.xs("max", axis=1, level=1),
-        )
+        count = len(evaluation.table)
+        terminal.show_scores(f"{part}: {count} recordings", evaluation.rmse, evaluation.largest)
         terminal.say(
             f"{part}: switch / best single filter ({evaluation.best_single}) = {evaluation.ratio:.3f}\n"
         )

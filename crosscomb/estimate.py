@@ -347,6 +347,7 @@ def write_estimate(estimate: LogEstimate, path: Path) -> None:
     """Write the estimate file, whole or not at all; its numbers come back exactly."""
     table = estimate.table()
     # By hand in half the time that pandas takes: no cell holds anything that must be quoted.
-    columns = [map(repr if table[name].dtype == float else str, table[name].tolist()) for name in table]
+    names = [str(name) for name in table.columns]
+    columns = [map(repr if table[name].dtype == float else str, table[name].tolist()) for name in names]
     rows = map(",".join, zip(*columns, strict=True))
-    write_text(path, "\n".join([",".join(table), *rows]) + "\n")
+    write_text(path, "\n".join([",".join(names), *rows]) + "\n")

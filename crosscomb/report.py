@@ -159,7 +159,9 @@ def metrics_json(training: Training) -> str:
                 "switch_to_best_single": evaluation.ratio,
                 "overall_deg": json.loads(evaluation.overall.to_json(orient="index", double_precision=6)),
                 "per_recording_deg": {
-                    str(name): {"_".join(map(str, column)): round(float(row[column]), 6) for column in row.index}
+                    str(name): {
+                        "_".join(map(str, column)): round(float(row[column]), 6) for column in row.index
+                    }
                     for name, row in evaluation.table.iterrows()
                 },
                 "confusion": evaluation.confusion.tolist(),
@@ -189,7 +191,8 @@ def training_page(training: Training, artefact_name: str, notes: Sequence[str]) 
         f"the recording; the tree in the file was fitted on all of them afterwards.</p>",
     ]
     explained = {
-        "folds": "Grouped folds inside the training part (75 %). The depth was chosen by these, so they flatter a little.",
+        "folds": "Grouped folds inside the training part (75 %). The depth was chosen by these: "
+        "they flatter a little.",
         "validation": "Validation part (15 %): judged by a tree fitted on the training part.",
         "test": "Test part (10 %): judged by the same tree.",
     }
@@ -232,9 +235,10 @@ def _overall_html(evaluation: Evaluation) -> str:
 def _recordings_html(evaluation: Evaluation) -> str:
     rmse = evaluation.rmse
     head = "".join(f"<th>{html.escape(str(name))}</th>" for name in rmse.columns)
+    pairs = zip(rmse.iterrows(), evaluation.largest.iterrows(), strict=True)
     rows = "".join(
-        f"<tr><th>{html.escape(str(name))}</th>{_cells(row, evaluation.largest.loc[name])}</tr>"
-        for name, row in rmse.iterrows()
+        f"<tr><th>{html.escape(str(name))}</th>{_cells(row, largest)}</tr>"
+        for (name, row), (_, largest) in pairs
     )
     return f"<table><thead><tr><th>RMSE / max [deg]</th>{head}</tr></thead><tbody>{rows}</tbody></table>"
 
@@ -244,8 +248,8 @@ def _cells(row: pd.Series, largest: pd.Series | None = None) -> str:
     best = row.drop("oracle").min()
     return "".join(
         f"<td{' class=best' if name != 'oracle' and value == best else ''}>{value:.2f}"
-        f"{'' if largest is None else f' / {largest[name]:.1f}'}</td>"
-        for name, value in row.items()
+        f"{'' if largest is None else f' / {largest.iloc[i]:.1f}'}</td>"
+        for i, (name, value) in enumerate(row.items())
     )
 
 

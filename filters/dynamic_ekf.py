@@ -14,8 +14,24 @@ from typing import NamedTuple
 from numba import njit
 
 from crosscomb.filters.base import (
-    AX, AY, BETA, BETA_STD, FXF, FXR, MAX_BETA, NIS, STEER, STEER_HELD, STEER_REAR, VX, YAW_RATE,
-    KernelFilter, below_gate, low_speed_answer, propagate, scalar_update,
+    AX,
+    AY,
+    BETA,
+    BETA_STD,
+    FXF,
+    FXR,
+    MAX_BETA,
+    NIS,
+    STEER,
+    STEER_HELD,
+    STEER_REAR,
+    VX,
+    YAW_RATE,
+    KernelFilter,
+    below_gate,
+    low_speed_answer,
+    propagate,
+    scalar_update,
 )  # fmt: skip
 from crosscomb.models.single_track import single_track_rates, stable_substeps
 

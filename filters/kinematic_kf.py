@@ -14,8 +14,19 @@ from typing import NamedTuple
 from numba import njit
 
 from crosscomb.filters.base import (
-    AX, AY, BETA, BETA_STD, NIS, VX, VX_HELD, YAW_RATE,
-    KernelFilter, below_gate, low_speed_answer, propagate, scalar_update,
+    AX,
+    AY,
+    BETA,
+    BETA_STD,
+    NIS,
+    VX,
+    VX_HELD,
+    YAW_RATE,
+    KernelFilter,
+    below_gate,
+    low_speed_answer,
+    propagate,
+    scalar_update,
 )  # fmt: skip
 from crosscomb.models.kinematic import input_gain, rotation
 from crosscomb.signals import MIN_SPEED

@@ -16,8 +16,23 @@ import numpy as np
 from numba import njit
 
 from crosscomb.filters.base import (
-    AX, AY, BETA, BETA_STD, FXF, FXR, MAX_BETA, NIS, STEER, STEER_REAR, VX, YAW_RATE,
-    Gaussian, KernelFilter, below_gate, gaussian, low_speed_answer,
+    AX,
+    AY,
+    BETA,
+    BETA_STD,
+    FXF,
+    FXR,
+    MAX_BETA,
+    NIS,
+    STEER,
+    STEER_REAR,
+    VX,
+    YAW_RATE,
+    Gaussian,
+    KernelFilter,
+    below_gate,
+    gaussian,
+    low_speed_answer,
 )  # fmt: skip
 from crosscomb.filters.dynamic_ekf import DynamicNoise, dynamic_step
 from crosscomb.models.single_track import body_rates

@@ -65,8 +65,9 @@ class Evaluation:
 def evaluate(banks: Sequence[BankRun], artefact: Artefact) -> Evaluation:
     """Score an artefact on recordings; its fitted part must not have seen them."""
     rows = {bank.recording.name: evaluate_one(bank, artefact) for bank in banks}
-    table = pd.DataFrame.from_dict(rows, orient="index")
-    table.columns = pd.MultiIndex.from_tuples(table.columns)
+    columns = list(next(iter(rows.values())))
+    values = [[row[column] for column in columns] for row in rows.values()]
+    table = pd.DataFrame(values, index=list(rows), columns=pd.MultiIndex.from_tuples(columns))
     classes = len(artefact.filters)
     confusion = np.zeros((classes, classes), dtype=np.int64)
     for bank in banks:

@@ -56,7 +56,8 @@ def window_ends(beta_ref: np.ndarray, vx: np.ndarray, settings: WindowSettings) 
     windows = np.lib.stride_tricks.sliding_window_view
     fast = windows(vx > MIN_SPEED, settings.length).all(axis=1)
     known = windows(np.isfinite(beta_ref), settings.length).any(axis=1)
-    return ends[(fast & known)[ends - settings.length + 1]]
+    judged = np.logical_and(fast, known)
+    return ends[judged[ends - settings.length + 1]]
 
 
 def label_run(run: FilterRun, settings: WindowSettings) -> Windows:

@@ -103,13 +103,13 @@ def read_recordings(
     recordings: list[Recording] = []
     notes: list[str] = []
     for place, logs in find_places(folder):
-        car_file = vehicle or place / "vehicle.toml"
-        if not vehicle and not car_file.exists():
+        beside = place / "vehicle.toml"
+        if not vehicle and not beside.exists():
             if place == folder:
                 raise UsageError(f"{folder}: no vehicle.toml beside the logs: write it, or give --vehicle")
             notes.append(f"{place.name}: skipped, it has no vehicle.toml (give --vehicle to use it)")
             continue
-        car = load_vehicle(car_file)
+        car = load_vehicle(vehicle or beside)
         prefix = "" if place == folder else f"{place.name}/"
         for path in logs:
             if progress is not None:
