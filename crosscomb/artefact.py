@@ -11,8 +11,8 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 
 from crosscomb.errors import UsageError
 from crosscomb.files import write_text
-from crosscomb.filters.catalogue import CATALOGUE
-from crosscomb.models.vehicle import Vehicle, describe
+from crosscomb.filters.catalogue import CATALOGUE, make_filter
+from crosscomb.models.vehicle import Vehicle, describe, load_vehicle
 from crosscomb.selector import Tree
 from crosscomb.switch import SwitchSettings
 from crosscomb.windows import WindowSettings
@@ -117,9 +117,16 @@ def parse_artefact(text: str, source: str) -> Artefact:
             f"train the artefact anew with this version"
         )
     try:
-        return Artefact(**content)
+        artefact = Artefact(**content)
     except ValidationError as error:
         raise UsageError(f"{source}: {describe(error)}: train the artefact anew") from None
+    car = artefact.vehicle or load_vehicle("generic_compact")
+    for entry in artefact.filters:
+        try:
+            make_filter(entry.name, car, entry.settings)
+        except UsageError as error:
+            raise UsageError(f"{source}: {error}") from None
+    return artefact
 
 
 def save_artefact(artefact: Artefact, path: Path) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import difflib
 import tomllib
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Literal
 
@@ -37,7 +36,14 @@ FACTORS: dict[str, dict[str, float]] = {
 _SPELLINGS = {
     **{"sec": "s", "seconds": "s", "kmh": "km/h", "kmph": "km/h", "mps": "m/s", "knots": "kn", "kt": "kn"},
     **{"m/s2": "m/s^2", "m/s/s": "m/s^2", "m/s**2": "m/s^2", "mps2": "m/s^2"},
-    **{"degree": "deg", "degrees": "deg", "radians": "rad", "deg/sec": "deg/s", "dps": "deg/s", "rad/sec": "rad/s"},
+    **{
+        "degree": "deg",
+        "degrees": "deg",
+        "radians": "rad",
+        "deg/sec": "deg/s",
+        "dps": "deg/s",
+        "rad/sec": "rad/s",
+    },
     **{"nm": "n m", "knm": "kn m", "n*m": "n m"},
 }
 
@@ -52,7 +58,9 @@ class _Table(BaseModel):
 class Channel(_Table):
     """How one of our columns is made: ``sign * scale * unit factor * raw - offset``, late by ``delay``."""
 
-    column: str | None = Field(default=None, min_length=1, description="its name in the log; None: our own name")
+    column: str | None = Field(
+        default=None, min_length=1, description="its name in the log; None: our own name"
+    )
     unit: str | None = Field(default=None, description="unit in the log; None: SI")
     sign: Literal[1, -1] = 1
     scale: float = Field(default=1.0, gt=0.0)
@@ -84,7 +92,11 @@ class Reader(_Table):
 
 
 class ChannelMap(_Table):
-    """A checked channel map. Columns it does not name are taken under their own names, as they are."""
+    """A checked channel map.
+
+    Columns that it does not name are taken under their own names, as they are; a column that it gives to one
+    channel is not taken for another.
+    """
 
     channels: dict[str, Channel] = {}
     accelerometer: Accelerometer | None = None
@@ -115,17 +127,23 @@ class ChannelMap(_Table):
         """
         wanted = []
         for name in UNITS:
-            column = self._column(name)
+            column = self.column(name)
             if column in found:
                 wanted.append(column)
             elif name in self.channels and name not in REFERENCES:
                 near = difflib.get_close_matches(column, found, 1)
                 mend = f"did you mean {near[0]!r}?" if near else f"the log has {', '.join(found)}"
-                raise UsageError(f"{source}: column {column!r}, which the channel map names for {name}, is missing: {mend}")
+                raise UsageError(
+                    f"{source}: column {column!r}, which the channel map names for {name}, is missing: {mend}"
+                )
         return list(dict.fromkeys(wanted))
 
-    def _column(self, name: str) -> str:
-        return self.channels.get(name, Channel()).column or name
+    def column(self, name: str) -> str:
+        """Column of the log that holds our channel `name`; empty where another channel claims that name."""
+        if name in self.channels:
+            return self.channels[name].column or name
+        claimed = any(channel.column == name for channel in self.channels.values())
+        return "" if claimed else name
 
 
 def load_map(path: str | Path) -> ChannelMap:
@@ -175,7 +193,7 @@ def apply_map(
     """
     table = pd.DataFrame(index=frame.index)
     for target in UNITS:
-        column = channel_map._column(target)
+        column = channel_map.column(target)
         if column in frame:
             table[target] = _to_si(frame[column], target, channel_map)
     signals = make_signals(table, name, source, others)

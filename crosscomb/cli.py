@@ -13,7 +13,6 @@ from crosscomb.errors import UsageError
 
 app = typer.Typer(
     add_completion=False,
-    no_args_is_help=True,
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
     help="Virtual sensor for the vehicle sideslip angle.",
@@ -40,7 +39,8 @@ def main() -> None:
     try:
         code = app(standalone_mode=False)
     except UsageError as error:
-        print(f"error: {error}", file=sys.stderr)
+        # One line, whatever a file or column is called.
+        print(f"error: {' '.join(str(error).split())}", file=sys.stderr)
         sys.exit(2)
     except (typer.Abort, KeyboardInterrupt):
         print("error: interrupted", file=sys.stderr)
@@ -54,19 +54,27 @@ def main() -> None:
     sys.exit(code if isinstance(code, int) else 0)
 
 
+def _existing(*paths: str | Path | None) -> list[Path]:
+    """Those that are files: a vehicle may also be the name of a shipped one."""
+    return [Path(path) for path in paths if path is not None and Path(path).is_file()]
+
+
 def _version(asked: bool) -> None:
     if asked:
         typer.echo(__version__)
         raise typer.Exit
 
 
-@app.callback()
+@app.callback(invoke_without_command=True)
 def _options(
+    context: typer.Context,
     version: Annotated[
         bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version.")
     ] = False,
 ) -> None:
-    pass
+    if context.invoked_subcommand is None:
+        typer.echo(context.get_help())
+        raise typer.Exit(2)
 
 
 @app.command()
@@ -120,15 +128,17 @@ def simulate(
 ) -> None:
     """Write labelled logs from the simulation plant."""
     from crosscomb import terminal
-    from crosscomb.files import run_record, write_json
+    from crosscomb.files import refuse_overwriting, run_record, write_json
     from crosscomb.models.vehicle import load_vehicle
     from crosscomb.training.simulate import simulate_data_set
 
     car = load_vehicle(vehicle or "generic_compact")
+    inputs = _existing(vehicle)
+    refuse_overwriting(inputs, [out_dir / "vehicle.toml"])
     with terminal.progress("simulating", logs) as advance:
         paths = simulate_data_set(car, out_dir, seed, logs, force=force, jobs=jobs, progress=advance)
     settings = {"vehicle": car.model_dump(), "seed": seed, "logs": logs}
-    write_json(out_dir / "simulate.run.json", run_record("simulate", settings, []))
+    write_json(out_dir / "simulate.run.json", run_record("simulate", settings, inputs))
     terminal.say(f"{out_dir}: {len(paths)} logs of {car.name}, what is in them stands in dataset.json")
 
 
@@ -152,35 +162,37 @@ def train(
     from crosscomb import terminal
     from crosscomb.artefact import save_artefact
     from crosscomb.channel_map import load_map
-    from crosscomb.files import run_record, write_json
-    from crosscomb.report import row_shares, write_training
+    from crosscomb.files import refuse_overwriting, run_record, write_json
+    from crosscomb.report import beside_artefact, row_shares, write_training
     from crosscomb.training.fit import SELECTORS
-    from crosscomb.training.recordings import read_recordings, require_enough
+    from crosscomb.training.recordings import find_places, read_recordings, require_enough
+    from crosscomb.training.train import steps
     from crosscomb.training.train import train as run_training
 
     if selector not in SELECTORS:
         raise UsageError(f"--selector {selector}: unknown: take one of {', '.join(SELECTORS)}")
     if output.suffix != ".json":
         raise UsageError(f"{output}: an artefact is a JSON file: let its name end in .json")
-    recordings, notes = read_recordings(data_dir, vehicle, load_map(channel_map) if channel_map else None)
+    signs = load_map(channel_map) if channel_map else None
+    with terminal.progress("reading", sum(len(logs) for _, logs in find_places(data_dir))) as advance:
+        recordings, notes = read_recordings(data_dir, vehicle, signs, advance)
     for note in notes:
         terminal.warn(note)
     require_enough(recordings, data_dir)
-    with terminal.progress("filtering", len(recordings)) as advance:
+    cars = [] if vehicle else sorted({r.path.with_name("vehicle.toml") for r in recordings})
+    inputs = [*_existing(vehicle, channel_map), *cars, *(r.path for r in recordings)]
+    record_file = output.with_suffix(".run.json")
+    refuse_overwriting(inputs, [output, record_file, *beside_artefact(output)])
+    with terminal.progress("training", steps(recordings, selector)) as advance:
         training = run_training(recordings, selector, folds, seed, rate, jobs, advance)
     save_artefact(training.artefact, output)
     paths = write_training(training, output, notes)
     settings = {"selector": selector, "folds": folds, "seed": seed, "rate": rate, "vehicle": vehicle}
-    record = run_record("train", settings, [recording.path for recording in recordings])
-    write_json(output.with_suffix(".run.json"), record)
+    write_json(record_file, run_record("train", settings, inputs))
 
     for part, evaluation in training.evaluations.items():
-        table = evaluation.table
-        terminal.show_scores(
-            f"{part}: {len(table)} recordings",
-            table.xs("rmse", axis=1, level=1),
-            table.xs("max", axis=1, level=1),
-        )
+        count = len(evaluation.table)
+        terminal.show_scores(f"{part}: {count} recordings", evaluation.rmse, evaluation.largest)
         terminal.say(
             f"{part}: switch / best single filter ({evaluation.best_single}) = {evaluation.ratio:.3f}\n"
         )
@@ -211,30 +223,35 @@ def estimate(
     from crosscomb.training.metrics import score_log
 
     artefact = load_artefact(selector_file)
-    opened = open_logs(logs, artefact, vehicle, load_map(channel_map) if channel_map else None, output)
-    scores = {}
-    for log in opened:
-        for warning in log.warnings:
-            terminal.warn(warning)
-        result = estimate_log(log.signals, log.vehicle, artefact)
-        name = log.signals.name
-        write_estimate(result, output / f"{name}.estimate.csv")
-        settings = {
-            "artefact": str(selector_file or "shipped"), "vehicle": log.vehicle.model_dump(),
-            "vehicle_from": log.origin, "notes": list(result.signals.notes),
-        }  # fmt: skip
-        extra = [path for path in (selector_file, channel_map) if path]
-        write_json(output / f"{name}.run.json", run_record("estimate", settings, [log.path, *extra]))
-        if plot:
-            from crosscomb.report import plot_estimate
+    signs = load_map(channel_map) if channel_map else None
+    with terminal.progress("reading", len(logs)) as advance:
+        opened = open_logs(logs, artefact, vehicle, signs, output, advance)
+    for warning in (warning for log in opened for warning in log.warnings):
+        terminal.warn(warning)
+    scores, notes = {}, []
+    with terminal.progress("estimating", len(opened)) as advance:
+        for log in opened:
+            result = estimate_log(log.signals, log.vehicle, artefact)
+            name = log.signals.name
+            write_estimate(result, output / f"{name}.estimate.csv")
+            settings = {
+                "artefact": str(selector_file or "shipped"), "vehicle": log.vehicle.model_dump(),
+                "vehicle_from": log.origin, "notes": list(result.signals.notes),
+            }  # fmt: skip
+            inputs = [log.path, *_existing(selector_file, channel_map, log.origin)]
+            write_json(output / f"{name}.run.json", run_record("estimate", settings, inputs))
+            if plot:
+                from crosscomb.report import plot_estimate
 
-            plot_estimate(result, output / f"{name}.estimate.png", f"{name}, {log.vehicle.name}")
-        for note in result.signals.notes:
-            terminal.say(f"{name}: {note}")
-        if result.signals.has_reference:
-            scores[name] = score_log(result)
-        else:
-            terminal.say(f"{name}: no ground truth, not scored")
+                plot_estimate(result, output / f"{name}.estimate.png", f"{name}, {log.vehicle.name}")
+            notes += [f"{name}: {note}" for note in result.signals.notes]
+            if result.signals.has_reference:
+                scores[name] = score_log(result)
+            else:
+                notes.append(f"{name}: no ground truth, not scored")
+            advance()
+    for note in notes:
+        terminal.say(note)
     if scores:
         terminal.show_log_scores(scores)
     terminal.say(f"{output}: {len(opened)} estimates written")
@@ -250,7 +267,7 @@ def check(
     from crosscomb import terminal
     from crosscomb.artefact import load_artefact
     from crosscomb.channel_map import load_map
-    from crosscomb.estimate import GENERIC, choose_vehicle, require_road_wheel_angle
+    from crosscomb.estimate import choose_vehicle, require_road_wheel_angle
     from crosscomb.logs import read_log
     from crosscomb.plausibility import check_units
 
@@ -265,7 +282,7 @@ def check(
         terminal.warn(warning)
     for finding in findings:
         terminal.say(f"{finding.severity}: column {finding.column}: {finding.message}")
-    if origin == GENERIC:
+    if warning:  # the generic car stands in
         require_road_wheel_angle(signals)
     if any(finding.severity == "error" for finding in findings):
         raise typer.Exit(2)
@@ -294,7 +311,9 @@ def benchmark(
     if suite == "real":
         if data is None:
             raise UsageError("benchmark real: needs the folder of the logs: give --data")
-        with terminal.progress("filtering", len(list(data.glob("*/*.csv*")))) as advance:
+        from crosscomb.training.recordings import find_places
+
+        with terminal.progress("filtering", 2 * sum(len(logs) for _, logs in find_places(data))) as advance:
             result = suites.benchmark_real(data, artefact, jobs, advance)
     elif suite == "simulated":
         with terminal.progress("filtering", suites.SIMULATED_LOGS) as advance:

@@ -19,7 +19,7 @@ STANDSTILL_OFFSETS = {"ay": 0.1, "yaw_rate": 0.005}
 
 @dataclass(frozen=True)
 class Finding:
-    """One line on one column: an ``error`` is plainly wrong and says its mend, a ``warning`` is worth a look."""
+    """One line on a column: an ``error`` is plainly wrong and has a mend, a ``warning`` may be harmless."""
 
     severity: Literal["error", "warning"]
     column: str
@@ -44,14 +44,18 @@ def check_coverage(signals: Signals) -> list[Finding]:
     if not np.any(speed > MIN_SPEED):
         warnings.append(("vx", f"vx never exceeds {MIN_SPEED:g} m/s: sideslip cannot be judged in this log"))
     if not any(signals.has(name) for name in REFERENCES):
-        warnings.append(("beta_ref", "no ground truth: the log can be estimated, but not trained on or scored"))
+        warnings.append(
+            ("beta_ref", "no ground truth: the log can be estimated, but not trained on or scored")
+        )
     return [Finding("warning", column, message) for column, message in warnings]
 
 
 def _speed(signals: Signals) -> np.ndarray:
     if signals.has("vx"):
         return signals.column("vx")
-    return 0.25 * (signals.column("vfl") + signals.column("vfr") + signals.column("vrl") + signals.column("vrr"))
+    return 0.25 * (
+        signals.column("vfl") + signals.column("vfr") + signals.column("vrl") + signals.column("vrr")
+    )
 
 
 def _holes(signals: Signals) -> list[tuple[str, str]]:
@@ -77,8 +81,9 @@ def _stuck(signals: Signals) -> list[tuple[str, str]]:
         longest = int(np.argmax(np.diff(t[edges])))
         held = float(t[edges[longest + 1]] - t[edges[longest]])
         if held > STUCK_TIME:
-            value = f"{values[edges[longest]]:.4g} {UNITS[name]}"
-            found.append((name, f"{name} rests at {value} for {held:.0f} s from t = {t[edges[longest]]:.1f} s while the car moves"))
+            value, since = values[edges[longest]], t[edges[longest]]
+            where = f"for {held:.0f} s in the moving car, from t = {since:.1f} s"
+            found.append((name, f"{name} rests at {value:.4g} {UNITS[name]} {where}"))
     return found
 
 
@@ -87,9 +92,10 @@ def _silences(signals: Signals) -> list[tuple[str, str]]:
     long, short = int(np.sum(steps > MAX_GAP)), int(np.sum((steps > MAX_AGE) & (steps <= MAX_GAP)))
     found = []
     if long:
-        found.append(("t", f"{long} gaps longer than {MAX_GAP:g} s, the longest {steps.max():.3g} s: the filters begin anew after each"))
+        text = f"{long} gaps longer than {MAX_GAP:g} s, the longest {steps.max():.3g} s"
+        found.append(("t", f"{text}: the filters begin anew after each"))
     if short:
-        found.append(("t", f"{short} steps between {MAX_AGE:g} and {MAX_GAP:g} s: nothing is measured in them"))
+        found.append(("t", f"{short} steps of {MAX_AGE:g} to {MAX_GAP:g} s: nothing is measured in them"))
     return found
 
 
@@ -102,9 +108,9 @@ def _standstill_offsets(signals: Signals) -> list[tuple[str, str]]:
         values = signals.column(name)[still & np.isfinite(signals.column(name))]
         if values.size < 20 or abs(values.mean()) <= max(most, 4.0 * values.std() / np.sqrt(values.size)):
             continue
-        cause = " (or the car stood on a slope)" if name == "ay" else ""
-        mend = f"[channels.{name}] offset = {values.mean():.3g}"
+        mean, cause = values.mean(), " (or the car stood on a slope)" if name == "ay" else ""
+        mend = f"write in a channel map (--map): [channels.{name}] offset = {mean:.3g}"
         found.append(
-            (name, f"{name} is {values.mean():.3g} {UNITS[name]} at standstill{cause}: to take it off write in a channel map (--map): {mend}")
+            (name, f"{name} is {mean:.3g} {UNITS[name]} at standstill{cause}: to take it off {mend}")
         )
     return found

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import reduce
 from pathlib import Path
@@ -13,7 +13,7 @@ import pandas as pd
 from crosscomb.artefact import Artefact
 from crosscomb.channel_map import ChannelMap
 from crosscomb.errors import UsageError
-from crosscomb.files import write_file
+from crosscomb.files import refuse_overwriting, write_text
 from crosscomb.filters.base import KernelFilter, make_inputs
 from crosscomb.filters.catalogue import make_filter
 from crosscomb.logs import log_name, read_log
@@ -236,6 +236,7 @@ def open_logs(
     vehicle: str | Path | None = None,
     channel_map: ChannelMap | None = None,
     output: Path | None = None,
+    progress: Callable[[], None] | None = None,
 ) -> list[OpenedLog]:
     """Read and check logs, all of them before anything is written.
 
@@ -248,6 +249,8 @@ def open_logs(
     channel_map : ChannelMap, optional
     output : Path, optional
         Folder the estimates will go to: none of them may overwrite an input.
+    progress : callable, optional
+        Called for each log that is read.
 
     Raises
     ------
@@ -256,17 +259,20 @@ def open_logs(
     """
     by_name: dict[str, Path] = {}
     for path in paths:
+        if path.is_dir():
+            raise UsageError(f"{path}: is a folder: name the logs in it")
         name = log_name(path)
         if name in by_name:
             raise UsageError(f"{path}: has the same name as {by_name[name]}: estimate them in two calls")
         by_name[name] = path
-    written = (
-        {(output / f"{name}{end}").resolve() for name in by_name for end in OUTPUTS} if output else set()
-    )
+    if output is not None:
+        refuse_overwriting(paths, (output / f"{name}{end}" for name in by_name for end in OUTPUTS))
+    opened = []
     for path in paths:
-        if path.resolve() in written:
-            raise UsageError(f"{path}: would be overwritten by an estimate: choose another folder with -o")
-    return [_open_log(path, artefact, vehicle, channel_map) for path in paths]
+        opened.append(_open_log(path, artefact, vehicle, channel_map))
+        if progress is not None:
+            progress()
+    return opened
 
 
 def _open_log(
@@ -274,7 +280,7 @@ def _open_log(
 ) -> OpenedLog:
     signals = read_log(path, channel_map)
     car, origin, warning = choose_vehicle(path, vehicle, artefact)
-    if origin == GENERIC:
+    if warning:  # the generic car stands in
         require_road_wheel_angle(signals)
     warnings = [*([warning] if warning else []), *require_plausible(signals, car)]
     return OpenedLog(path, signals, car, origin, tuple(warnings))
@@ -338,5 +344,10 @@ def require_plausible(signals: Signals, vehicle: Vehicle) -> list[str]:
 
 
 def write_estimate(estimate: LogEstimate, path: Path) -> None:
-    """Write the estimate file, whole or not at all."""
-    write_file(path, lambda temporary: estimate.table().to_csv(temporary, index=False, lineterminator="\n"))
+    """Write the estimate file, whole or not at all; its numbers come back exactly."""
+    table = estimate.table()
+    # By hand in half the time that pandas takes: no cell holds anything that must be quoted.
+    names = [str(name) for name in table.columns]
+    columns = [map(repr if table[name].dtype == float else str, table[name].tolist()) for name in names]
+    rows = map(",".join, zip(*columns, strict=True))
+    write_text(path, "\n".join([",".join(names), *rows]) + "\n")

@@ -17,6 +17,19 @@ from crosscomb.errors import UsageError
 RECORDED_PACKAGES = ("crosscomb", "numpy", "numba", "pandas", "scikit-learn", "scipy")
 
 
+def refuse_overwriting(inputs: Iterable[Path], outputs: Iterable[Path]) -> None:
+    """Refuse a run whose outputs would overwrite one of its inputs.
+
+    Raises
+    ------
+    UsageError
+    """
+    written = {path.resolve() for path in outputs}
+    for path in inputs:
+        if path.resolve() in written:
+            raise UsageError(f"{path}: would be overwritten by this run: let it write into another folder")
+
+
 def write_file(path: Path, write: Callable[[Path], object]) -> None:
     """Let `write` fill a temporary file beside `path`, then rename it: no half-written file is ever seen.
 
@@ -73,7 +86,7 @@ def run_record(command: str, settings: dict[str, Any], inputs: Iterable[Path]) -
         "command": command,
         "settings": settings,
         "versions": versions(),
-        "inputs": {path.name: file_hash(path) for path in inputs},
+        "inputs": {str(path): file_hash(path) for path in inputs},
     }
 
 

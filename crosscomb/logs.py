@@ -94,7 +94,9 @@ def _read_bytes(path: Path) -> bytes:
     except FileNotFoundError:
         raise UsageError(f"{path}: no such file: check the name") from None
     except (EOFError, zlib.error, gzip.BadGzipFile):
-        raise UsageError(f"{path}: is damaged or not gzip: copy it anew, or unpack it and give the .csv") from None
+        raise UsageError(
+            f"{path}: is damaged or not gzip: copy it anew, or unpack it and give the .csv"
+        ) from None
     except OSError as error:
         raise UsageError(f"{path}: cannot be read ({error.strerror}): check its permissions") from None
     if data.startswith((b"\xff\xfe", b"\xfe\xff")):
@@ -159,7 +161,7 @@ class _Lines:
         found = int(fields[row - 1])
         mend = "complete or delete that row"
         if separator == "," and found >= 2 * columns - 1:
-            mend = "numbers with a decimal comma need another separator, such as a semicolon: export the log anew"
+            mend = "a decimal comma needs another separator, such as a semicolon: export the log anew"
         raise UsageError(f"{source}: row {row} has {found} fields, the header has {columns}: {mend}")
 
 
@@ -187,7 +189,9 @@ def _header_names(header: str, separator: str, source: str, row: int) -> list[st
 def _refuse_doubles(names: list[str], wanted: list[str], source: str, row: int) -> None:
     for column in wanted:
         if names.count(column) > 1:
-            raise UsageError(f"{source}: row {row}: column {column} is there twice: rename or delete one of them")
+            raise UsageError(
+                f"{source}: row {row}: column {column} is there twice: rename or delete one of them"
+            )
 
 
 def _without_si_unit(name: str, names: list[str], source: str) -> str:
@@ -207,7 +211,13 @@ def _without_si_unit(name: str, names: list[str], source: str) -> str:
 
 
 def _parse(
-    lines: _Lines, first_row: int, names: list[str], wanted: list[str], separator: str, decimal: str, source: str
+    lines: _Lines,
+    first_row: int,
+    names: list[str],
+    wanted: list[str],
+    separator: str,
+    decimal: str,
+    source: str,
 ) -> pd.DataFrame:
     """Numbers of the wanted columns; the index called ``row`` holds the row numbers in the file."""
     places = [names.index(column) for column in wanted]
@@ -236,7 +246,9 @@ def _parse(
     frame.index = pd.RangeIndex(first_row, first_row + len(frame), name="row")
     frame = frame[full[: len(frame)]]
     for column in wanted:
-        if not pd.api.types.is_float_dtype(frame[column]) and not pd.api.types.is_integer_dtype(frame[column]):
+        if not pd.api.types.is_float_dtype(frame[column]) and not pd.api.types.is_integer_dtype(
+            frame[column]
+        ):
             frame[column] = _numbers(frame[column], decimal, source)
     return frame.astype(np.float64)
 
@@ -251,7 +263,9 @@ def _numbers(cells: pd.Series, decimal: str, source: str) -> pd.Series:
         row, cell = cells.index[wrong[0]], text.iloc[wrong[0]]
         mend = "correct the cell, or empty it if nothing was measured"
         if wrong[0] == 0:
-            mend += f"; if that row holds units, write in a channel map (--map): [reader] first_data_row = {row + 1}"
+            mend += (
+                f"; for a row of units write in a channel map (--map): [reader] first_data_row = {row + 1}"
+            )
         if decimal == "." and re.fullmatch(r"[-+]?\d+,\d+", cell):
             mend = 'for a decimal comma write in a channel map (--map): [reader] decimal = ","'
         raise UsageError(f"{source}: row {row}, column {cells.name}: {cell[:40]!r} is not a number: {mend}")

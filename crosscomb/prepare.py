@@ -8,7 +8,7 @@ from crosscomb.models.vehicle import Vehicle
 from crosscomb.signals import WHEEL_SPEEDS, Signals
 
 SPEED_SLOPE_WINDOW = 0.15
-"""Length of the line fitted to vx for ax [s]: shorter is noisy with quantised wheel speeds, longer is late."""
+"""Length of the line fitted to vx for ax [s]: a shorter one is noisy on wheel speeds, a longer one late."""
 
 
 def complete(signals: Signals, vehicle: Vehicle) -> Signals:

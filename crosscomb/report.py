@@ -123,6 +123,12 @@ def confusion_table(confusion: np.ndarray, names: Sequence[str]) -> pd.DataFrame
     return pd.concat([counts, shares], axis=1).rename_axis("best")
 
 
+def beside_artefact(artefact_path: Path) -> list[Path]:
+    """Files that `write_training` writes beside an artefact."""
+    names = ("report.html", "confusion_matrix.csv", "confusion_matrix.png", "metrics.json")
+    return [artefact_path.with_name(name) for name in names]
+
+
 def write_training(training: Training, artefact_path: Path, notes: Sequence[str]) -> list[Path]:
     """Write what belongs beside an artefact: report, confusion matrix and metrics.
 
@@ -131,13 +137,9 @@ def write_training(training: Training, artefact_path: Path, notes: Sequence[str]
     list of Path
         The files written.
     """
-    folder = artefact_path.parent
     names = training.artefact.filter_names
     confusion = training.folds.confusion
-    paths = [
-        folder / name
-        for name in ("report.html", "confusion_matrix.csv", "confusion_matrix.png", "metrics.json")
-    ]
+    paths = beside_artefact(artefact_path)
     write_file(paths[1], lambda path: confusion_table(confusion, names).to_csv(path, lineterminator="\n"))
     _save(confusion_figure(confusion, names), paths[2])
     write_text(paths[3], metrics_json(training))
@@ -158,8 +160,7 @@ def metrics_json(training: Training) -> str:
                 "overall_deg": json.loads(evaluation.overall.to_json(orient="index", double_precision=6)),
                 "per_recording_deg": {
                     str(name): {
-                        f"{estimator}_{measure}": round(float(value), 6)
-                        for (estimator, measure), value in row.items()
+                        "_".join(map(str, column)): round(float(row[column]), 6) for column in row.index
                     }
                     for name, row in evaluation.table.iterrows()
                 },
@@ -190,7 +191,8 @@ def training_page(training: Training, artefact_name: str, notes: Sequence[str]) 
         f"the recording; the tree in the file was fitted on all of them afterwards.</p>",
     ]
     explained = {
-        "folds": "Grouped folds inside the training part (75 %). The depth was chosen by these, so they flatter a little.",
+        "folds": "Grouped folds inside the training part (75 %). The depth was chosen by these: "
+        "they flatter a little.",
         "validation": "Validation part (15 %): judged by a tree fitted on the training part.",
         "test": "Test part (10 %): judged by the same tree.",
     }
@@ -231,20 +233,23 @@ def _overall_html(evaluation: Evaluation) -> str:
 
 
 def _recordings_html(evaluation: Evaluation) -> str:
-    rmse = evaluation.table.xs("rmse", axis=1, level=1)
+    rmse = evaluation.rmse
     head = "".join(f"<th>{html.escape(str(name))}</th>" for name in rmse.columns)
+    pairs = zip(rmse.iterrows(), evaluation.largest.iterrows(), strict=True)
     rows = "".join(
-        f"<tr><th>{html.escape(str(name))}</th>{_cells(row)}</tr>" for name, row in rmse.iterrows()
+        f"<tr><th>{html.escape(str(name))}</th>{_cells(row, largest)}</tr>"
+        for (name, row), (_, largest) in pairs
     )
-    return f"<table><thead><tr><th>RMSE [deg]</th>{head}</tr></thead><tbody>{rows}</tbody></table>"
+    return f"<table><thead><tr><th>RMSE / max [deg]</th>{head}</tr></thead><tbody>{rows}</tbody></table>"
 
 
-def _cells(row: pd.Series) -> str:
-    """Table cells of one row; the best real estimate is bold."""
+def _cells(row: pd.Series, largest: pd.Series | None = None) -> str:
+    """Table cells of one row, with the largest errors where given; the best real estimate is bold."""
     best = row.drop("oracle").min()
     return "".join(
-        f"<td{' class=best' if name != 'oracle' and value == best else ''}>{value:.2f}</td>"
-        for name, value in row.items()
+        f"<td{' class=best' if name != 'oracle' and value == best else ''}>{value:.2f}"
+        f"{'' if largest is None else f' / {largest.iloc[i]:.1f}'}</td>"
+        for i, (name, value) in enumerate(row.items())
     )
 
 

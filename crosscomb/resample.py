@@ -106,15 +106,15 @@ def _resample_stretch(signals: Signals, start: int, stop: int, rate: float) -> S
     columns = {"t": t_start + grid}
     for name in signals.frame.columns.drop("t"):
         values = signals.column(name)[start : start + rows]
-        columns[name] = _to_grid(values, tau, steps, grid, rate, once=name in REFERENCES + GNSS)
+        columns[name] = _to_grid(values, tau, steps, grid, tolerance / rate, once=name in REFERENCES + GNSS)
     frame = pd.DataFrame(columns)[list(signals.frame.columns)]
     return Segment(start, stop, replace(signals, frame=frame))
 
 
 def _to_grid(
-    values: np.ndarray, tau: np.ndarray, steps: np.ndarray, grid: np.ndarray, rate: float, *, once: bool
+    values: np.ndarray, tau: np.ndarray, steps: np.ndarray, grid: np.ndarray, slack: float, *, once: bool
 ) -> np.ndarray:
-    """One channel at the grid times; `steps` is the grid point that each row counts for."""
+    """One channel at the grid times; `steps` is the grid point that each row counts for, `slack` is [s]."""
     measured = np.flatnonzero(np.isfinite(values))
     if measured.size == 0:
         return np.full(grid.size, np.nan)
@@ -133,7 +133,6 @@ def _to_grid(
 
     sample_time = tau[measured]
     age = grid - sample_time[newest]
-    slack = _ROUNDING / rate
     interval = sample_time[newest] - sample_time[np.maximum(newest - 1, 0)]
     newest_row = np.searchsorted(steps, points, side="right") - 1
     silent = measured[newest] == newest_row

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
 import pandas as pd
 
 from crosscomb.files import write_text
@@ -23,7 +24,7 @@ def markdown_table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 
 
 def score_rows(
-    rmse: pd.DataFrame, largest: pd.DataFrame, summaries: dict[str, Sequence[str]]
+    rmse: pd.DataFrame, largest: pd.DataFrame, summaries: Mapping[str, Sequence[str]]
 ) -> list[list[str]]:
     """Rows "RMSE / largest error" per recording, then the mean and the maximum over named sets of recordings.
 
@@ -35,13 +36,18 @@ def score_rows(
         Text of a summary row to the recordings it is over.
     """
     rows = [
-        [str(name), *(f"{rmse.at[name, e]:.2f} / {largest.at[name, e]:.1f}" for e in rmse.columns)]
-        for name in rmse.index
+        [str(name), *score_cells(errors, peaks)]
+        for name, errors, peaks in zip(rmse.index, rmse.to_numpy(), largest.to_numpy(), strict=True)
     ]
     for text, members in summaries.items():
-        mean, most = rmse.loc[list(members)].mean(), largest.loc[list(members)].max()
-        rows.append([text, *(f"{mean[e]:.2f} / {most[e]:.1f}" for e in rmse.columns)])
+        chosen = rmse.index.isin(list(members))
+        rows.append([text, *score_cells(rmse[chosen].mean().to_numpy(), largest[chosen].max().to_numpy())])
     return rows
+
+
+def score_cells(rmse: np.ndarray, largest: np.ndarray) -> list[str]:
+    """Cells "RMSE / largest error" of one row [deg]."""
+    return [f"{error:.2f} / {peak:.1f}" for error, peak in zip(rmse, largest, strict=True)]
 
 
 def write_section(path: Path, name: str, text: str) -> None:
@@ -65,8 +71,7 @@ HOW = {
 
 def write_benchmark(path: Path, suite: str, result: Benchmark, speeds: dict[str, float]) -> None:
     """Keep the tables of a benchmark in a Markdown file."""
-    table = result.evaluation.table
-    rmse, largest = table.xs("rmse", axis=1, level=1), table.xs("max", axis=1, level=1)
+    rmse, largest = result.evaluation.rmse, result.evaluation.largest
     scores = markdown_table(
         ["recording", *map(str, rmse.columns)], score_rows(rmse, largest, result.summaries)
     )

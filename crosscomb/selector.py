@@ -42,7 +42,8 @@ class Tree(BaseModel):
     @model_validator(mode="after")
     def _sound(self) -> Tree:
         nodes, features = len(self.feature), len(self.lowest)
-        if nodes == 0 or len({nodes, *map(len, (self.threshold, self.left, self.right, self.shares))}) > 1:
+        lengths = {len(self.threshold), len(self.left), len(self.right), len(self.shares)}
+        if nodes == 0 or lengths != {nodes}:
             raise ValueError("the arrays of the tree differ in length or are empty")
         if len(self.highest) != features or len({len(row) for row in self.shares}) > 1:
             raise ValueError("the tree's classes or feature ranges are of uneven length")

@@ -140,7 +140,11 @@ def make_signals(frame: pd.DataFrame, name: str, source: str = "", others: Seque
 
 
 def _require_columns(table: pd.DataFrame, source: str, others: Sequence[str]) -> None:
-    has = f" (its other columns: {', '.join(others[:12])}{', ...' if len(others) > 12 else ''})" if others else ""
+    has = (
+        f" (its other columns: {', '.join(others[:12])}{', ...' if len(others) > 12 else ''})"
+        if others
+        else ""
+    )
     mend = "or name the log's own column for it in a channel map (--map)"
     for column in ("t", "ay", "yaw_rate"):
         if column not in table:
@@ -163,7 +167,9 @@ def _require_increasing_time(table: pd.DataFrame, source: str, rows: np.ndarray)
     t = table["t"].to_numpy()
     bad = np.flatnonzero(~np.isfinite(t))
     if bad.size:
-        raise UsageError(f"{source}: row {rows[bad[0]]}, column t: no time there: fill it in or delete the row")
+        raise UsageError(
+            f"{source}: row {rows[bad[0]]}, column t: no time there: fill it in or delete the row"
+        )
     step = np.flatnonzero(np.diff(t) <= 0.0)
     if step.size:
         row = int(step[0]) + 1
@@ -183,4 +189,6 @@ def _require_values(table: pd.DataFrame, source: str) -> None:
         raise UsageError(f"{source}: column {present} has no value in any row: log the steering angle")
     wheels = all(wheel in table and table[wheel].notna().any() for wheel in WHEEL_SPEEDS)
     if not wheels and not ("vx" in table and table["vx"].notna().any()):
-        raise UsageError(f"{source}: column vx has no value in any row: log the speed, or all four wheel speeds")
+        raise UsageError(
+            f"{source}: column vx has no value in any row: log the speed, or all four wheel speeds"
+        )

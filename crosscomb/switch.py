@@ -30,9 +30,15 @@ class SwitchSettings(BaseModel):
 
 
 @njit(cache=True)
+def usable(beta, beta_std, k, i):
+    """Tell whether filter i has an answer at sample k."""
+    return math.isfinite(beta[k, i]) and math.isfinite(beta_std[k, i])
+
+
+@njit(cache=True)
 def _switch_run(beta, beta_std, decision, first, dwell, confirm, decay, out_beta, out_std, active):
     """Run the switch; dwell and confirm in samples, decay per sample."""
-    n = decision.size
+    n, filters = beta.shape
     current, candidate = first, first
     held, standing = dwell, 0
     offset = 0.0
@@ -41,11 +47,19 @@ def _switch_run(beta, beta_std, decision, first, dwell, confirm, decay, out_beta
         standing = standing + 1 if wanted == candidate else 1
         candidate = wanted
         held += 1
-        usable = math.isfinite(beta[k, current]) and math.isfinite(beta_std[k, current])
-        can_leave = held > dwell and standing >= confirm
-        if wanted != current and math.isfinite(beta[k, wanted]) and (can_leave or not usable):
-            if k > 0 and usable:
-                offset += beta[k, current] - beta[k, wanted]
+        follow = held > dwell and standing >= confirm
+        if not usable(beta, beta_std, k, current):
+            # The decision if it can be used, else the first filter that can.
+            follow = True
+            for other in range(filters):
+                if usable(beta, beta_std, k, wanted):
+                    break
+                wanted = other
+        if follow and wanted != current and usable(beta, beta_std, k, wanted):
+            if usable(beta, beta_std, k, current):
+                offset += (beta[k, current] - beta[k, wanted]) if k > 0 else 0.0
+            elif k > 0 and math.isfinite(out_beta[k - 1]):
+                offset = out_beta[k - 1] - beta[k, wanted]  # the last answer stands in for the lost estimate
             current, held = wanted, 0
         offset *= decay
         out_beta[k] = beta[k, current] + offset

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
 from crosscomb.results import score_rows
@@ -25,23 +24,34 @@ if TYPE_CHECKING:
 PIPE_WIDTH = 150
 """Columns of a table in a file or a pipe, which has no width of its own."""
 
-console = Console(highlight=False, soft_wrap=True, width=None if sys.stdout.isatty() else PIPE_WIDTH)
-errors = Console(stderr=True, highlight=False, soft_wrap=True)
+# No markup: it would swallow what stands in brackets, units and file names.
+console = Console(
+    markup=False, highlight=False, soft_wrap=True, width=None if sys.stdout.isatty() else PIPE_WIDTH
+)
+errors = Console(stderr=True, markup=False, highlight=False, soft_wrap=True)
 
 
 def say(text: str) -> None:
     """Print a line as it is."""
-    console.print(text, markup=False)
+    console.print(text)
 
 
 def warn(text: str) -> None:
     """Print a warning to the error stream."""
-    errors.print(f"warning: {text}", markup=False)
+    errors.print(f"warning: {text}")
 
 
 @contextmanager
 def progress(text: str, total: int) -> Iterator[Callable[[], None]]:
-    """Show a progress bar on the error stream; gives what advances it by one."""
+    """Show a progress bar on the error stream where that is a terminal; gives what advances it by one.
+
+    Print nothing meanwhile: the bar would draw it to itself.
+    """
+    if not errors.is_terminal:
+        yield lambda: None
+        return
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     with Progress(*columns, console=errors, transient=True) as bar:
         task = bar.add_task(text, total=total)
@@ -66,8 +76,7 @@ def show_scores(title: str, rmse: pd.DataFrame, largest: pd.DataFrame) -> None:
 
 def show_benchmark(result: Benchmark) -> None:
     """Print the scores of a benchmark."""
-    table = result.evaluation.table
-    rmse, largest = table.xs("rmse", axis=1, level=1), table.xs("max", axis=1, level=1)
+    rmse, largest = result.evaluation.rmse, result.evaluation.largest
     rows = score_rows(rmse, largest, result.summaries)
     show("Accuracy", ["RMSE / max [deg]", *map(str, rmse.columns)], rows)
 

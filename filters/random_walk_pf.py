@@ -20,6 +20,8 @@ from crosscomb.filters.base import (
     AY,
     BETA,
     BETA_STD,
+    FXF,
+    FXR,
     MAX_BETA,
     NIS,
     STEER,
@@ -68,6 +70,9 @@ class Particles(NamedTuple):
 FIRST_SPREAD = (0.2, math.radians(8.0), 2.0, 2.0, 2.0, 2.0)
 """Half width of the uniform first particles: yaw rate [rad/s], beta [rad], forces over the mass [m/s^2]."""
 
+FAR_OFF = 0.5 * 5.0**2
+"""No measurement counts as further off than five standard deviations: a wild one would leave one particle."""
+
 
 @njit(cache=True)
 def sin_cos(angle):
@@ -83,14 +88,17 @@ def sin_cos(angle):
 
 
 @njit(cache=True)
-def first_particles(particles, centre_yaw, centre_beta, mass):
-    """Spread the particles uniformly around a first guess."""
+def first_particles(particles, sample, beta, car):
+    """Spread the particles uniformly around beta and what the sample says of yaw rate and forces."""
     x, rng = particles.x, particles.rng
+    yaw_rate = sample[YAW_RATE] if math.isfinite(sample[YAW_RATE]) else 0.0
+    side = car.mass * sample[AY] if math.isfinite(sample[AY]) else 0.0
+    front = car.b / (car.a + car.b)
+    centre = (yaw_rate, beta, sample[FXF], sample[FXR], front * side, (1.0 - front) * side)
     for row in range(6):
-        centre = centre_yaw if row == 0 else centre_beta if row == 1 else 0.0
-        half = FIRST_SPREAD[row] * (mass if row > 1 else 1.0)
+        half = FIRST_SPREAD[row] * (car.mass if row > 1 else 1.0)
         for i in range(x.shape[1]):
-            x[row, i] = centre + half * (2.0 * rng.random() - 1.0)
+            x[row, i] = centre[row] + half * (2.0 * rng.random() - 1.0)
     particles.log_weights[:] = 0.0
 
 
@@ -125,9 +133,9 @@ def move_and_weigh(particles, sample, beta_ekf, car, noise, dt):
         beta = min(max(x[1, i] + dt * beta_rate + slip * draws[1, i], -MAX_BETA), MAX_BETA)
         x[0, i], x[1, i], x[2, i], x[3, i], x[4, i], x[5, i] = yaw_rate, beta, fxf, fxr, fyf, fyr
         log_weights[i] -= (
-            p_yaw * (z_yaw - yaw_rate) ** 2
-            + p_ax * (z_ax - ax) ** 2
-            + p_ay * (z_ay - ay) ** 2
+            min(p_yaw * (z_yaw - yaw_rate) ** 2, FAR_OFF)
+            + min(p_ax * (z_ax - ax) ** 2, FAR_OFF)
+            + min(p_ay * (z_ay - ay) ** 2, FAR_OFF)
             + p_beta * (beta_ekf - beta) ** 2
         )
 
@@ -142,8 +150,7 @@ def particle_answer(particles, sample, car, noise, dt, out):
         particles.running[0] = 0
         return math.inf
     if particles.running[0] == 0:
-        yaw_rate = sample[YAW_RATE] if math.isfinite(sample[YAW_RATE]) else 0.0
-        first_particles(particles, yaw_rate, beta_ekf, car.mass)
+        first_particles(particles, sample, beta_ekf, car)
         low_speed_answer(sample, car, out)
         particles.running[0] = 1
         return math.inf

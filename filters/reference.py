@@ -17,7 +17,7 @@ from crosscomb.filters import base
 from crosscomb.filters.base import Estimate, Inputs
 from crosscomb.filters.dynamic_ekf import DynamicEKF
 from crosscomb.filters.kinematic_kf import KinematicKF
-from crosscomb.filters.random_walk_pf import FIRST_SPREAD, RandomWalkPF
+from crosscomb.filters.random_walk_pf import FAR_OFF, FIRST_SPREAD, RandomWalkPF
 from crosscomb.models.kinematic import input_gain, rotation
 from crosscomb.models.single_track import SingleTrack, body_rates, single_track_rates, stable_substeps
 from crosscomb.signals import MIN_SPEED
@@ -153,7 +153,9 @@ def reference_random_walk_pf(estimator: RandomWalkPF, inputs: Inputs) -> Estimat
     x, weights = np.empty((6, n)), np.empty(n)
 
     def start(sample: np.ndarray, beta: float, beta_std: float) -> None:
-        centre = np.array([np.nan_to_num(sample[base.YAW_RATE]), beta, 0.0, 0.0, 0.0, 0.0])
+        yaw_rate, side = np.nan_to_num(sample[[base.YAW_RATE, base.AY]])
+        axles = car.mass * side * np.array([car.b, car.a]) / (car.a + car.b)
+        centre = np.array([yaw_rate, beta, sample[base.FXF], sample[base.FXR], *axles])
         half = scale * FIRST_SPREAD
         x[:] = rng.uniform((centre - half)[:, None], (centre + half)[:, None], (6, n))
         weights[:] = 1.0 / n
@@ -162,17 +164,18 @@ def reference_random_walk_pf(estimator: RandomWalkPF, inputs: Inputs) -> Estimat
         # Uniform noise of unit variance is sqrt(3) wide to either side.
         random = walk[:, None] * rng.uniform(-np.sqrt(3.0), np.sqrt(3.0), (6, n))
         x[2:] += random[2:]
-        angles = sample[[base.STEER, base.STEER_REAR]]
-        turn = np.column_stack([np.cos(angles), np.sin(angles)]).ravel()
+        steer, steer_rear = sample[[base.STEER, base.STEER_REAR]]
         yaw_acceleration, beta_rate, ax, ay = body_rates.py_func(
-            *x[2:], sample[base.VX], x[0], *turn, np.cos(x[1]), np.sin(x[1]),
+            x[2], x[3], x[4], x[5], sample[base.VX], x[0],
+            np.cos(steer), np.sin(steer), np.cos(steer_rear), np.sin(steer_rear), np.cos(x[1]), np.sin(x[1]),
             car.mass, car.yaw_inertia, car.a, car.b,
         )  # fmt: skip
         x[0] += dt * yaw_acceleration + random[0]
         x[1] = np.clip(x[1] + dt * beta_rate + random[1], -base.MAX_BETA, base.MAX_BETA)
         measured = sample[[base.YAW_RATE, base.AX, base.AY, base.SAMPLE_WIDTH]]
-        errors = (np.stack([x[0], ax, ay, x[1]]).T - measured) ** 2 / variances
-        log_likelihood = -0.5 * errors[:, np.isfinite(measured)].sum(axis=1)
+        misfit = 0.5 * (np.stack([x[0], ax, ay, x[1]]).T - measured) ** 2 / variances
+        misfit[:, :3] = np.minimum(misfit[:, :3], FAR_OFF)
+        log_likelihood = -misfit[:, np.isfinite(measured)].sum(axis=1)
         weights[:] *= np.exp(log_likelihood - log_likelihood.max())
         weights[:] /= weights.sum()
         beta = weights @ x[1]

@@ -112,5 +112,7 @@ def resample(particles):
     for row in range(x.shape[0]):
         for i in range(source.size):
             scratch[row, i] = x[row, source[i]]
-    x[:, :] = scratch
+    for row in range(x.shape[0]):  # as x[:, :] = scratch it takes 5 s to compile
+        for i in range(x.shape[1]):
+            x[row, i] = scratch[row, i]
     particles.log_weights[:] = 0.0

@@ -159,7 +159,8 @@ def shipped_vehicles() -> list[str]:
 def _load_shipped(name: str) -> Vehicle:
     if name not in shipped_vehicles():
         raise UsageError(
-            f"{name}: no such vehicle file, and no shipped vehicle of that name: take one of {', '.join(shipped_vehicles())}"
+            f"{name}: no such vehicle file, and no shipped vehicle of that name: "
+            f"take one of {', '.join(shipped_vehicles())}"
         )
     entry = resources.files("crosscomb") / "data" / "vehicles" / f"{name}.toml"
     return parse_vehicle(entry.read_text(encoding="utf-8"), name)

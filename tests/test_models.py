@@ -89,10 +89,10 @@ def test_both_force_models_are_the_same_body() -> None:
     car = single_track(GOLF, "linear")
     yaw_rate, beta, vx, steer, steer_rear, fxf, fxr = 0.4, -0.1, 17.0, 0.06, -0.02, 900.0, -400.0
     front, rear, *_ = slip_angles(yaw_rate, beta, vx, steer, steer_rear, car.a, car.b)
-    state = np.array(
-        [yaw_rate, beta, fxf, fxr, car.stiffness_front * front, car.stiffness_rear * rear]
+    state = np.array([yaw_rate, beta, fxf, fxr, car.stiffness_front * front, car.stiffness_rear * rear])
+    rates, measurements, _ = single_track_rates(
+        yaw_rate, beta, vx, steer, steer_rear, fxf, fxr, 0.0, 0.0, car
     )
-    rates, measurements, _ = single_track_rates(yaw_rate, beta, vx, steer, steer_rear, fxf, fxr, 0.0, 0.0, car)
     np.testing.assert_allclose(
         random_walk_rates(state, vx, steer, steer_rear, car), [*rates, *measurements], rtol=1e-12
     )
@@ -100,7 +100,7 @@ def test_both_force_models_are_the_same_body() -> None:
 
 @pytest.mark.parametrize("vehicle", shipped_vehicles())
 def test_linear_single_track_is_the_textbook_one(vehicle: str) -> None:
-    """Mitschke and Wallentowitz 2014, chapter 20; the errata of Atheupe 2023, eq. 26 to 28."""
+    """Rajamani 2012, section 2.3; what Atheupe 2023, eq. 26 to 28, would be without its misprints."""
     car = single_track(load_vehicle(vehicle), "linear")
     m, iz, a, b, cf, cr = car[:6]
     vx = 22.0
@@ -136,7 +136,7 @@ def test_forces_turn_and_push_the_body_as_newton_says() -> None:
         # In the plane as complex numbers, in the axes of the car: x + i y.
         force_f, force_r = complex(fxf, fyf) * np.exp(1j * front), complex(fxr, fyr) * np.exp(1j * rear)
         acceleration = (force_f + force_r) / mass
-        moment = (np.conj(a) * force_f).imag + (np.conj(-b) * force_r).imag
+        moment = a * force_f.imag - b * force_r.imag
         velocity = complex(vx, vx * math.tan(beta))
         slip_rate = ((acceleration - 1j * yaw_rate * velocity) / velocity).imag
         expected = [moment / inertia, slip_rate, acceleration.real, acceleration.imag]
@@ -162,15 +162,117 @@ def test_signs_are_iso_8855() -> None:
 def test_a_mirrored_car_mirrors_its_motion_exactly(tyre: str) -> None:
     car = single_track(GOLF, tyre)
     rng = np.random.default_rng(4)
-    even, odd = [0, 3, 5, 6], [1, 2, 4, 7]  # of the Jacobian: yaw_r slip_r ax_r ay_r yaw_b slip_b ax_b ay_b
     for _ in range(50):
         yaw_rate, beta, steer, steer_rear = rng.uniform(-0.5, 0.5, 4)
         vx, fxf, fxr, ax, ay = rng.uniform([4, -5e3, -5e3, -8, -9], [50, 5e3, 5e3, 8, 9])
-        rates, (ax_1, ay_1), jacobian = single_track_rates(
+        (yaw_acceleration, slip_rate), (model_ax, model_ay), jacobian = single_track_rates(
             yaw_rate, beta, vx, steer, steer_rear, fxf, fxr, ax, ay, car
         )
-        mirrored, (ax_2, ay_2), other = single_track_rates(
+        rates, measurements, mirrored = single_track_rates(
             -yaw_rate, -beta, vx, -steer, -steer_rear, fxf, fxr, ax, -ay, car
         )
-        assert (*mirrored, ax_2, ay_2) == (-rates[0], -rates[1], ax_1, -ay_1)
-        del even, odd
+        assert rates == (-yaw_acceleration, -slip_rate)
+        assert measurements == (model_ax, -model_ay)
+        odd = np.array([1.0, 1.0, -1.0, 1.0] * 2)  # ax is even, its derivatives are odd
+        np.testing.assert_array_equal(mirrored, odd * jacobian)
+
+
+@pytest.mark.parametrize("vehicle", shipped_vehicles())
+def test_euler_steps_are_stable_at_every_speed(vehicle: str) -> None:
+    car = single_track(load_vehicle(vehicle), "linear")
+    for vx in np.geomspace(3.01, 20.0, 30):  # beyond, an oversteering car may itself be unstable
+        steps = stable_substeps(vx, 0.01, car)
+        _, _, jacobian = single_track_rates(0.0, 0.0, vx, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, car)
+        modes = np.linalg.eigvals(np.eye(2) + 0.01 / steps * np.reshape(jacobian, (2, 4)).T[:2])
+        assert np.abs(modes).max() < 1.0, vx
+    assert stable_substeps(30.0, 0.01, car) == 1
+    assert stable_substeps(3.01, 0.05, car) > 1
+
+
+def test_friction_is_at_least_what_the_car_plainly_uses() -> None:
+    icy = single_track(GOLF.model_copy(update={"friction": 0.2}))
+    sliding = (0.0, -0.3, 20.0, 0.3, 0.0, 0.0, 0.0)
+    _, (_, ay_unseen), unseen = single_track_rates(*sliding, 0.0, 0.0, icy)
+    _, (_, ay_seen), jacobian = single_track_rates(*sliding, 0.0, 8.0, icy)
+    assert ay_unseen < 0.2 * GRAVITY
+    assert 8.0 < ay_seen < FRICTION_MARGIN * 8.0, "the tyres can give what was measured"
+    assert abs(jacobian[7]) > 10.0 * abs(unseen[7]), "and ay still tells of beta"
+    _, quiet, _ = single_track_rates(*sliding, 0.0, 1.0, icy)
+    assert quiet[1] == ay_unseen, "a small ay does not lower the friction of the vehicle file"
+
+
+def test_axle_loads_carry_the_weight_and_shift_with_acceleration() -> None:
+    car = single_track(GOLF)
+    weight = car.mass * GRAVITY
+    for ax in (-9.0, 0.0, 5.0):
+        front, rear = axle_loads(ax, car)
+        assert front + rear == pytest.approx(weight)
+        # Moments about the contact of the front axle: weight at a, inertia force at cg_height.
+        assert rear * (car.a + car.b) == pytest.approx(weight * car.a + car.mass * ax * car.cg_height)
+    assert min(axle_loads(60.0, car)) > 0.0, "an axle in the air would divide by zero"
+
+
+def test_dugoff_is_linear_for_small_slip() -> None:
+    force, slope = dugoff_tyre(1e-4, 80e3, 5e3)
+    expected, stiffness = linear_tyre(1e-4, 80e3)
+    assert force == pytest.approx(expected, rel=1e-7)
+    assert slope == pytest.approx(stiffness, rel=1e-7)
+
+
+def test_dugoff_is_smooth_odd_and_bounded_by_its_capacity() -> None:
+    stiffness, capacity = 80e3, 5e3
+    right = np.linspace(1e-3, 1.4, 1401)
+    angles = np.concatenate([-right[::-1], right])
+    force, slope = np.array([dugoff_tyre(angle, stiffness, capacity) for angle in angles]).T
+    np.testing.assert_array_equal(force, -force[::-1])
+    assert np.all(np.diff(force) > 0.0)
+    assert 0.98 * capacity < force.max() < capacity
+    numeric = [
+        (dugoff_tyre(x + 1e-7, stiffness, capacity)[0] - dugoff_tyre(x - 1e-7, stiffness, capacity)[0]) / 2e-7
+        for x in angles
+    ]
+    np.testing.assert_allclose(slope, numeric, rtol=1e-4, atol=0.1)
+
+    at_break = math.atan(0.5 * capacity / stiffness)
+    below, above = (dugoff_tyre(at_break + d, stiffness, capacity) for d in (-1e-12, 1e-12))
+    assert below[0] == pytest.approx(0.5 * capacity, rel=1e-9)
+    assert above == pytest.approx(below, rel=1e-9)
+
+
+def test_dugoff_pushes_the_right_way_even_backwards() -> None:
+    beyond, _ = dugoff_tyre(math.radians(120.0), 80e3, 5e3)
+    assert beyond == dugoff_tyre(MAX_SLIP_ANGLE, 80e3, 5e3)[0] > 0.0
+    assert dugoff_tyre(math.radians(-120.0), 80e3, 5e3)[0] == -beyond
+
+
+def test_lateral_capacity_is_the_rest_of_the_friction_circle() -> None:
+    assert lateral_capacity(0.8, 5000.0, 0.0) == pytest.approx(4000.0)
+    assert lateral_capacity(0.8, 5000.0, -2400.0) == pytest.approx(3200.0)
+    assert lateral_capacity(0.8, 5000.0, 9000.0) == pytest.approx(400.0), "a locked wheel keeps a tenth"
+
+
+@pytest.mark.parametrize("yaw_rate", [0.0, 1e-9, 0.009, 0.011, -0.4, 2.5])
+def test_kinematic_step_is_the_exact_solution(yaw_rate: float) -> None:
+    dt = 0.01
+    # Columns: what vx, vy, ax and ay each contribute to the rates.
+    rates = np.array([velocity_rates(*unit[:2], yaw_rate, *unit[2:]) for unit in np.eye(4)]).T
+    exact = expm(dt * np.vstack([rates, np.zeros((2, 4))]))[:2]
+    np.testing.assert_allclose(np.reshape(rotation(yaw_rate, dt), (2, 2)), exact[:, :2], rtol=1e-12)
+    np.testing.assert_allclose(
+        np.reshape(input_gain(yaw_rate, dt), (2, 2)), exact[:, 2:], rtol=1e-7, atol=1e-14
+    )
+
+
+def test_kinematic_model_keeps_a_steady_circle() -> None:
+    """A point that moves on a circle: constant velocity in the car's axes, acceleration square to it."""
+    vx, vy, yaw_rate = 20.0, -2.0, 0.4
+    assert velocity_rates(vx, vy, yaw_rate, -yaw_rate * vy, yaw_rate * vx) == (0.0, 0.0)
+
+
+@pytest.mark.parametrize(("front", "rear"), [(0.3, 0.0), (0.3, -0.1), (-0.2, -0.2), (0.0, 0.0)])
+def test_rolling_slip_angle_moves_both_axles_along_their_wheels(front: float, rear: float) -> None:
+    a, b = 1.2, 1.5
+    beta = slip_of_rolling_rear(front, rear, a, b)
+    yaw_per_speed = (math.tan(front) - math.tan(rear)) / (a + b)  # yaw rate over vx
+    assert math.tan(beta) + a * yaw_per_speed == pytest.approx(math.tan(front))
+    assert math.tan(beta) - b * yaw_per_speed == pytest.approx(math.tan(rear))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -82,6 +82,7 @@ def run_bank(
     progress : callable, optional
         Called after each recording.
     """
+    made: Iterable[BankRun]
     if jobs == 1:
         made = (run_one(recording, filters, rate, window) for recording in recordings)
     else:

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from crosscomb.artefact import Artefact
+from crosscomb.errors import UsageError
 from crosscomb.estimate import make_filters
 from crosscomb.filters.base import make_inputs
 from crosscomb.models.vehicle import load_vehicle
@@ -61,8 +62,18 @@ class Benchmark:
 def benchmark_real(
     folder: Path, artefact: Artefact, jobs: int = 1, progress: Callable[[], None] | None = None
 ) -> Benchmark:
-    """Score all estimators on every recording with ground truth in a folder of real logs."""
-    recordings, notes = read_recordings(folder)
+    """Score all estimators on every recording with ground truth in a folder of real logs.
+
+    `progress` is called when a log is read and when it is filtered.
+
+    Raises
+    ------
+    UsageError
+        The folder holds no recording that can be scored, or a broken log.
+    """
+    recordings, notes = read_recordings(folder, progress=progress)
+    if not recordings:
+        raise UsageError(f"{folder}: no recording has ground truth and a vehicle.toml: nothing can be scored")
     evaluation = _evaluate(recordings, artefact, jobs, progress)
     names = [recording.name for recording in recordings]
     shared = [name for name in SHARED_SET if name in names]

@@ -35,11 +35,19 @@ class Evaluation:
     confusion: np.ndarray
 
     @property
+    def rmse(self) -> pd.DataFrame:
+        """RMSE [deg], recordings as rows and estimators as columns."""
+        return pd.DataFrame(self.table.xs("rmse", axis=1, level=1))
+
+    @property
+    def largest(self) -> pd.DataFrame:
+        """Largest error [deg], recordings as rows and estimators as columns."""
+        return pd.DataFrame(self.table.xs("max", axis=1, level=1))
+
+    @property
     def overall(self) -> pd.DataFrame:
         """Mean RMSE over recordings and largest error per estimator [deg], estimators as rows."""
-        rmse = self.table.xs("rmse", axis=1, level=1).mean()
-        largest = self.table.xs("max", axis=1, level=1).max()
-        return pd.DataFrame({"rmse": rmse, "max": largest})
+        return pd.DataFrame({"rmse": self.rmse.mean(), "max": self.largest.max()})
 
     @property
     def best_single(self) -> str:
@@ -57,8 +65,9 @@ class Evaluation:
 def evaluate(banks: Sequence[BankRun], artefact: Artefact) -> Evaluation:
     """Score an artefact on recordings; its fitted part must not have seen them."""
     rows = {bank.recording.name: evaluate_one(bank, artefact) for bank in banks}
-    table = pd.DataFrame.from_dict(rows, orient="index")
-    table.columns = pd.MultiIndex.from_tuples(table.columns)
+    columns = list(next(iter(rows.values())))
+    values = [[row[column] for column in columns] for row in rows.values()]
+    table = pd.DataFrame(values, index=list(rows), columns=pd.MultiIndex.from_tuples(columns))
     classes = len(artefact.filters)
     confusion = np.zeros((classes, classes), dtype=np.int64)
     for bank in banks:

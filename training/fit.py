@@ -7,7 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 from sklearn.tree import DecisionTreeClassifier
 
-from crosscomb.errors import UsageError
 from crosscomb.selector import Tree
 from crosscomb.training.labels import Windows
 from crosscomb.windows import WindowSettings
@@ -53,19 +52,8 @@ MIN_LEAF_SHARE = 0.02
 
 
 def fit_tree(windows: Windows, kind: SelectorKind, depth: int, seed: int) -> DecisionTreeClassifier:
-    """Fit the entropy tree (Atheupe 2023, eq. 34 to 36, sons weighted by their shares).
-
-    Raises
-    ------
-    UsageError
-        All windows have the same label.
-    """
+    """Fit the entropy tree (Atheupe 2023, eq. 34 to 36, sons weighted by their shares)."""
     label = windows.label
-    if len(np.unique(label)) < 2:
-        raise UsageError(
-            "training: the same filter is best in every window, there is nothing to select: "
-            "add recordings of other driving (slides, straights, cornering)"
-        )
     tree = DecisionTreeClassifier(
         criterion="entropy", max_depth=depth, min_weight_fraction_leaf=MIN_LEAF_SHARE, random_state=seed
     )

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from crosscomb.estimate import FilterRun
+from crosscomb.signals import MIN_SPEED
 from crosscomb.training.metrics import countable
 from crosscomb.windows import WindowSettings
 
@@ -44,11 +45,19 @@ class Windows:
 
 
 def window_ends(beta_ref: np.ndarray, vx: np.ndarray, settings: WindowSettings) -> np.ndarray:
-    """Last sample of each window in which every sample counts, ``hop`` samples apart."""
-    counted = countable(beta_ref, vx)
-    ends = np.arange(settings.length - 1, len(counted), settings.hop)
-    full = np.lib.stride_tricks.sliding_window_view(counted, settings.length).all(axis=1)
-    return ends[full[ends - settings.length + 1]]
+    """Last sample of each window that can be judged, ``hop`` samples apart.
+
+    The car is fast enough in all of it, and there is truth in some of it: a reference may come more rarely
+    than the signals.
+    """
+    if len(vx) < settings.length:
+        return np.empty(0, dtype=np.int64)
+    ends = np.arange(settings.length - 1, len(vx), settings.hop)
+    windows = np.lib.stride_tricks.sliding_window_view
+    fast = windows(vx > MIN_SPEED, settings.length).all(axis=1)
+    known = windows(np.isfinite(beta_ref), settings.length).any(axis=1)
+    judged = np.logical_and(fast, known)
+    return ends[judged[ends - settings.length + 1]]
 
 
 def label_run(run: FilterRun, settings: WindowSettings) -> Windows:
@@ -61,14 +70,10 @@ def label_run(run: FilterRun, settings: WindowSettings) -> Windows:
     """
     signals = run.segment.signals
     beta_ref = signals.beta_ref
-    if len(signals) < settings.length:
-        ends = np.empty(0, dtype=np.int64)
-    else:
-        ends = window_ends(beta_ref, signals.column("vx"), settings)
+    ends = window_ends(beta_ref, signals.column("vx"), settings)
     squared = (run.beta - beta_ref[:, None]) ** 2
     members = ends[:, None] - np.arange(settings.length)[None, :]
-    rmse = np.sqrt(squared[members].mean(axis=1))
-    return Windows(run.features[ends], rmse)
+    return Windows(run.features[ends], np.sqrt(np.nanmean(squared[members], axis=1)))
 
 
 def concatenate(parts: list[Windows]) -> Windows:
@@ -85,8 +90,10 @@ def oracle_beta(run: FilterRun, length: int) -> np.ndarray:
     The log is cut into windows of `length` samples side by side; the bound for what switching at the pace of
     windows can reach.
     """
-    squared = (run.beta - run.segment.signals.beta_ref[:, None]) ** 2
-    squared = np.where(np.isfinite(squared), squared, 0.0)
+    signals = run.segment.signals
+    beta_ref = signals.beta_ref
+    counted = countable(beta_ref, signals.column("vx"))
+    squared = np.where(counted[:, None], (run.beta - beta_ref[:, None]) ** 2, 0.0)
     starts = np.arange(0, len(squared), length)
     best = np.argmin(np.add.reduceat(squared, starts, axis=0), axis=1)
     active = np.repeat(best, length)[: len(squared)]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -37,13 +38,44 @@ class Recording:
     signals: Signals
 
 
+OUR_TABLES = (".estimate.csv", "confusion_matrix.csv")
+"""Endings of what crosscomb itself writes: no logs."""
+
+
 def find_logs(folder: Path) -> list[Path]:
-    """Logs in a folder, in order of their names."""
-    return sorted(p for p in folder.iterdir() if p.name.endswith((".csv", ".csv.gz")) and p.is_file())
+    """Logs in a folder, in order of their names; hidden files and crosscomb's own tables are none."""
+    return sorted(
+        path
+        for path in folder.iterdir()
+        if path.name.lower().endswith((".csv", ".csv.gz"))
+        and not path.name.startswith(".")
+        and not path.name.endswith(OUR_TABLES)
+        and path.is_file()
+    )
+
+
+def find_places(folder: Path) -> list[tuple[Path, list[Path]]]:
+    """Folders that hold logs, with their logs: a data folder and its sub-folders.
+
+    Raises
+    ------
+    UsageError
+        The folder is missing or holds no log.
+    """
+    if not folder.is_dir():
+        raise UsageError(f"{folder}: no such data folder: check the name")
+    places = [folder, *sorted(path for path in folder.iterdir() if path.is_dir())]
+    found = [(place, logs) for place in places if (logs := find_logs(place))]
+    if not found:
+        raise UsageError(f"{folder}: holds no log (.csv or .csv.gz): name the folder with the logs")
+    return found
 
 
 def read_recordings(
-    folder: Path, vehicle: str | Path | None = None, channel_map: ChannelMap | None = None
+    folder: Path,
+    vehicle: str | Path | None = None,
+    channel_map: ChannelMap | None = None,
+    progress: Callable[[], None] | None = None,
 ) -> tuple[list[Recording], list[str]]:
     """Read all recordings of a data folder and of its sub-folders, one per vehicle.
 
@@ -54,6 +86,8 @@ def read_recordings(
     vehicle : str or Path, optional
         Vehicle file, or name of a shipped one, that holds for all logs.
     channel_map : ChannelMap, optional
+    progress : callable, optional
+        Called for each log that is read.
 
     Returns
     -------
@@ -66,23 +100,20 @@ def read_recordings(
     UsageError
         The folder is missing or holds no log, or a log or vehicle file is broken: it is named, nothing is run.
     """
-    if not folder.is_dir():
-        raise UsageError(f"{folder}: no such data folder")
     recordings: list[Recording] = []
     notes: list[str] = []
-    for place in [folder, *sorted(p for p in folder.iterdir() if p.is_dir())]:
-        logs = find_logs(place)
-        if not logs:
-            continue
-        car_file = vehicle or place / "vehicle.toml"
-        if not vehicle and not car_file.exists():
+    for place, logs in find_places(folder):
+        beside = place / "vehicle.toml"
+        if not vehicle and not beside.exists():
             if place == folder:
                 raise UsageError(f"{folder}: no vehicle.toml beside the logs: write it, or give --vehicle")
             notes.append(f"{place.name}: skipped, it has no vehicle.toml (give --vehicle to use it)")
             continue
-        car = load_vehicle(car_file)
+        car = load_vehicle(vehicle or beside)
         prefix = "" if place == folder else f"{place.name}/"
         for path in logs:
+            if progress is not None:
+                progress()
             signals = read_log(path, channel_map)
             require_plausible(signals, car)
             signals = complete(signals, car)
@@ -90,8 +121,6 @@ def read_recordings(
                 notes.append(f"{prefix}{path.name}: skipped, it has no ground truth above walking speed")
                 continue
             recordings.append(Recording(prefix + log_name(path), path, car, signals))
-    if not recordings and not notes:
-        raise UsageError(f"{folder}: holds no log (.csv or .csv.gz)")
     _require_unique([recording.name for recording in recordings], folder)
     return recordings, notes
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -9,6 +10,7 @@ import numpy as np
 import pandas as pd
 
 from crosscomb.artefact import Artefact, FilterSettings
+from crosscomb.errors import UsageError
 from crosscomb.files import file_hash, versions
 from crosscomb.filters.catalogue import DEFAULT_FILTERS, make_filter, settings_of
 from crosscomb.models.vehicle import Vehicle
@@ -82,17 +84,27 @@ def train(
     jobs : int
         Processes for the filters.
     progress : callable, optional
-        Called after each recording.
+        Called `steps` times in all.
+
+    Raises
+    ------
+    UsageError
+        One filter is the best in every window, or a recording has no window that can be judged.
     """
     kind = SELECTORS[selector]
     filters = default_filters(recordings[0].vehicle)
     banks = run_bank(recordings, filters, rate, kind.window, jobs, progress)
     windows = [bank.windows(kind.window) for bank in banks]
+    _require_choice(recordings, windows, filters)
     base = _Base(kind, selector, rate, filters, common_vehicle(list(recordings)), seed)
 
     parts = split_recordings(len(banks), seed)
     pairs = grouped_folds(parts.training, folds, seed)
-    by_depth = {depth: _judge_folds(base, banks, windows, pairs, depth) for depth in kind.depths}
+    by_depth = {}
+    for depth in kind.depths:
+        by_depth[depth] = _judge_folds(base, banks, windows, pairs, depth)
+        if progress is not None:
+            progress()
     depth = min(by_depth, key=lambda d: by_depth[d].overall["rmse"]["switch"])
     partly = base.fit(windows, parts.training, depth)
     validation = evaluate([banks[i] for i in parts.validation], partly)
@@ -102,6 +114,35 @@ def train(
     record = _record(recordings, parts, seed, folds, depth, by_depth[depth], validation, test)
     artefact = whole.model_copy(update={"training": record})
     return Training(artefact, by_depth[depth], validation, test, parts, depth)
+
+
+def steps(recordings: Sequence[Recording], selector: str) -> int:
+    """How often `train` reports progress: after each recording and after each depth it tries."""
+    return len(recordings) + len(SELECTORS[selector].depths)
+
+
+def _require_choice(
+    recordings: Sequence[Recording], windows: Sequence[Windows], filters: Sequence[FilterSettings]
+) -> None:
+    """Refuse recordings that cannot be labelled, or that leave nothing to select.
+
+    Raises
+    ------
+    UsageError
+    """
+    for recording, part in zip(recordings, windows, strict=True):
+        if len(part.features) == 0:
+            raise UsageError(
+                f"{recording.path}: nowhere fast enough for one whole window beside ground truth: "
+                f"take it out of the folder"
+            )
+    best = np.unique(concatenate(list(windows)).label)
+    if len(best) == 1:
+        folder = os.path.commonpath([recording.path.parent for recording in recordings])
+        raise UsageError(
+            f"{folder}: {filters[best[0]].name} is best in every window, there is nothing to select: "
+            f"add recordings of other driving (slides, straights, cornering)"
+        )
 
 
 def default_filters(vehicle: Vehicle) -> list[FilterSettings]:

@@ -1,0 +1,202 @@
+"""Monte Carlo: on drives of its own stochastic model a filter's error is as large as the filter says.
+
+Normalised errors squared are chi-square distributed (Bar-Shalom, Li and Kirubarajan 2001, section 5.4).
+"""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.stats import chi2
+
+from crosscomb.filters.base import (
+    AX,
+    AY,
+    LOW_SPEED_STD,
+    SAMPLE_WIDTH,
+    STEER,
+    VX,
+    YAW_RATE,
+    KernelFilter,
+)
+from crosscomb.filters.dynamic_ekf import DynamicEKF, DynamicNoise
+from crosscomb.filters.kinematic_kf import KinematicKF, KinematicNoise
+from crosscomb.filters.random_walk_pf import (
+    ParticleNoise,
+    RandomWalkPF,
+    move_and_weigh,
+    normalise,
+    systematic_resample,
+    weighted_beta,
+)
+from crosscomb.models.kinematic import input_gain, rotation, slip_of_rolling_rear
+from crosscomb.models.random_walk import random_walk_rates
+from crosscomb.models.single_track import single_track_rates, stable_substeps
+from crosscomb.models.vehicle import load_vehicle
+
+DT = 0.01
+RUNS = 100
+PARTICLE_RUNS = 60
+STEPS = 161
+GOLF = load_vehicle("golf_gti_2018")
+KF = KinematicKF(GOLF, KinematicNoise(accel=0.4, speed=0.1, relaxation=0.1))
+LINEAR_EKF = DynamicEKF(GOLF, DynamicNoise(0.3, 0.05, 0.01, 0.3), tyre="linear")
+DUGOFF_EKF = replace(LINEAR_EKF, tyre="dugoff")
+PF = RandomWalkPF(GOLF, ParticleNoise(force=1.0, pseudo=0.005), particles=2000)
+
+Drive = tuple[np.ndarray, np.ndarray]  # samples (STEPS, 10) and true states (STEPS, 2)
+
+
+def turn(ay: float) -> np.ndarray:
+    """Samples of a left turn that tightens and opens, without states and measurements."""
+    samples = np.zeros((STEPS, SAMPLE_WIDTH))
+    samples[:, VX] = 20.0
+    swing = 0.6 + 0.4 * np.sin(3.0 * DT * np.arange(STEPS))
+    samples[:, YAW_RATE] = ay / 20.0 * swing
+    samples[:, AY] = ay * swing
+    samples[:, STEER] = ay * swing * 0.009
+    return samples
+
+
+def kinematic_drive(rng: np.random.Generator) -> Drive:
+    """A drive of the kinematic model; what the accelerometers miss is white noise on the velocity."""
+    noise, samples = KF.noise, turn(6.0)
+    forget = np.diag([1.0, np.exp(-noise.relaxation * DT)])
+    truth = np.empty((STEPS, 2))
+    rolling = slip_of_rolling_rear(samples[0, STEER], 0.0, KF.car.a, KF.car.b)
+    truth[0] = rng.normal([20.0, 20.0 * np.tan(rolling)], [noise.speed, 20.0 * LOW_SPEED_STD])
+    for k in range(1, STEPS):
+        ax, ay, yaw_rate = samples[k, [AX, AY, YAW_RATE]]
+        held = np.reshape(input_gain(yaw_rate, DT), (2, 2)) @ [ax, ay]
+        turned = np.reshape(rotation(yaw_rate, DT), (2, 2)) @ forget @ truth[k - 1]
+        truth[k] = turned + held + rng.normal(0.0, noise.accel * np.sqrt(DT), 2)
+        samples[k, VX] = truth[k, 0] + rng.normal(0.0, noise.speed)
+    return samples, truth
+
+
+def dynamic_drive(rng: np.random.Generator, estimator: DynamicEKF) -> Drive:
+    """A drive of the single track with white noise on its rates and on its measurements."""
+    noise, car, samples = estimator.noise, estimator.car, turn(3.0)
+    truth = np.empty((STEPS, 2))
+    rolling = slip_of_rolling_rear(samples[0, STEER], 0.0, car.a, car.b)
+    truth[0] = rng.normal([samples[0, YAW_RATE], rolling], [noise.yaw_rate, LOW_SPEED_STD])
+    assert stable_substeps(20.0, DT, car) == 1
+    for k in range(1, STEPS):
+        given = (20.0, samples[k, STEER], 0.0, 0.0, 0.0, 0.0, 0.0)
+        rates, _, _ = single_track_rates(*truth[k - 1], *given, car)
+        shaken = rng.normal(0.0, [noise.yaw_acceleration * np.sqrt(DT), noise.slip_rate * np.sqrt(DT)])
+        truth[k] = truth[k - 1] + DT * np.array(rates) + shaken
+        _, (_, ay), _ = single_track_rates(*truth[k], *given, car)
+        samples[k, [YAW_RATE, AY]] = rng.normal([truth[k, 0], ay], [noise.yaw_rate, noise.ay])
+    return samples, truth
+
+
+def consistent(
+    estimator: KernelFilter, drive: Callable[[np.random.Generator], Drive], measurements: int
+) -> dict[str, bool]:
+    """Tell whether the NEES of the runs at five instants and the NIS of all samples are within bounds."""
+    rng = np.random.default_rng(11)
+    instants = (0, 40, 80, 120, 160)
+    nees, nis = np.zeros(len(instants)), 0.0
+    for _ in range(RUNS):
+        samples, truth = drive(rng)
+        started = estimator.start(DT)
+        for k, sample in enumerate(samples):
+            _, _, of_sample = estimator.step(started, sample)
+            nis += of_sample if k else 0.0  # the first sample starts the filter
+            if k in instants:
+                error = truth[k] - started.state.mean
+                nees[instants.index(k)] += error @ np.linalg.solve(started.state.cov, error)
+    return {
+        "nees": within_bounds(nees, 2 * RUNS),
+        "nis": within_bounds(np.array(nis), measurements * RUNS * (STEPS - 1)),
+    }
+
+
+def within_bounds(sums: np.ndarray, degrees: int) -> bool:
+    low, high = chi2.interval(0.999, degrees)
+    return bool(np.all((low < sums) & (sums < high)))
+
+
+CASES = {
+    "kinematic_kf": (KF, kinematic_drive, 1),
+    "dynamic_ekf_linear": (LINEAR_EKF, lambda rng: dynamic_drive(rng, LINEAR_EKF), 2),
+    "dynamic_ekf_dugoff": (DUGOFF_EKF, lambda rng: dynamic_drive(rng, DUGOFF_EKF), 2),
+}
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_kalman_filters_are_consistent(name: str) -> None:
+    assert consistent(*CASES[name]) == {"nees": True, "nis": True}
+
+
+@pytest.mark.parametrize(
+    ("name", "wrong"), [("kinematic_kf", {"accel": 0.2}), ("dynamic_ekf_dugoff", {"slip_rate": 0.02})]
+)
+def test_a_filter_that_is_too_sure_is_seen(name: str, wrong: dict[str, float]) -> None:
+    estimator, drive, measurements = CASES[name]
+    too_sure = replace(estimator, noise=estimator.noise._replace(**wrong))
+    assert consistent(too_sure, drive, measurements) == {"nees": False, "nis": False}
+
+
+def first_states(sample: np.ndarray, uniform: np.ndarray) -> np.ndarray:
+    """States (..., 6) spread uniformly (..., 6) about the sample.
+
+    Less than the filter's own first particles: a few thousand cannot fill that box in six dimensions.
+    """
+    car = PF.car
+    side = car.mass * sample[AY] / (car.a + car.b)
+    centre = np.array([sample[YAW_RATE], 0.01, 0.0, 0.0, car.b * side, car.a * side])
+    return centre + uniform * [0.05, 0.05, *[0.7 * car.mass] * 4]
+
+
+def particle_drive(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """A drive of the random-walk model: samples, true states (STEPS, 6) and measurements of beta (STEPS,)."""
+    noise, car, samples = PF.noise, PF.car, turn(4.5)
+    scale = np.array([1.0, 1.0, *[car.mass] * 4])
+    walk = np.sqrt(3.0 * DT) * scale * [noise.yaw_acceleration, noise.slip_rate, *[noise.force] * 4]
+    state = first_states(samples[0], rng.uniform(-1.0, 1.0, 6))
+    truth, pseudo = np.empty((STEPS, 6)), np.empty(STEPS)
+    truth[0], pseudo[0] = state, 0.01
+    for k in range(1, STEPS):
+        sample, shaken = samples[k], walk * rng.uniform(-1.0, 1.0, 6)
+        state = state + np.array([0.0, 0.0, *shaken[2:]])
+        *rates, ax, ay = random_walk_rates(state, 20.0, sample[STEER], 0.0, car)
+        state = state + np.array([*(DT * np.array(rates) + shaken[:2]), 0.0, 0.0, 0.0, 0.0])
+        sample[[YAW_RATE, AX, AY]] = rng.normal(
+            [state[0], ax, ay], [noise.yaw_rate, noise.accel, noise.accel]
+        )
+        truth[k], pseudo[k] = state, rng.normal(state[1], noise.pseudo / np.sqrt(DT))
+    return samples, truth, pseudo
+
+
+def particle_consistency(estimator: RandomWalkPF) -> bool:
+    """Tell whether the NEES of beta is within bounds at three instants.
+
+    Not through `step`, which takes the EKF's beta as measurement: here one with the error the filter expects.
+    """
+    rng = np.random.default_rng(12)
+    instants = (20, 40, 60)  # later the free forces spin the true car
+    nees = np.zeros(len(instants))
+    for run in range(PARTICLE_RUNS):
+        samples, truth, pseudo = particle_drive(rng)
+        particles = replace(estimator, seed=run).make_state()
+        particles.x[:] = first_states(samples[0], rng.uniform(-1.0, 1.0, particles.x.shape).T).T
+        for k in range(1, max(instants) + 1):
+            move_and_weigh(particles, samples[k], pseudo[k], estimator.car, estimator.noise, DT)
+            effective = normalise(particles.log_weights, particles.weights)
+            if k in instants:
+                beta, beta_std = weighted_beta(particles)
+                nees[instants.index(k)] += ((truth[k, 1] - beta) / beta_std) ** 2
+            if effective < 0.5 * estimator.particles:
+                systematic_resample(particles)
+    return within_bounds(nees, PARTICLE_RUNS)
+
+
+def test_particle_filter_is_consistent() -> None:
+    assert particle_consistency(PF)
+
+
+def test_a_particle_filter_that_is_too_sure_is_seen() -> None:
+    assert not particle_consistency(replace(PF, noise=PF.noise._replace(pseudo=0.0025)))

@@ -1,0 +1,480 @@
+"""The three filters: the same answer as filterpy, by steps as in one run, and an answer whatever comes."""
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pandas as pd
+import pytest
+from scipy.stats import kstest
+
+from crosscomb.filters.base import (
+    AX,
+    AY,
+    FXF,
+    FXR,
+    LOW_SPEED_STD,
+    MAX_BETA,
+    SAMPLE_WIDTH,
+    STEER,
+    STEER_HELD,
+    STEER_REAR,
+    VX,
+    VX_HELD,
+    YAW_RATE,
+    Estimate,
+    Inputs,
+    KernelFilter,
+    make_inputs,
+)
+from crosscomb.filters.dynamic_ekf import DynamicEKF, DynamicNoise
+from crosscomb.filters.kinematic_kf import KinematicKF, KinematicNoise
+from crosscomb.filters.random_walk_pf import (
+    ParticleNoise,
+    RandomWalkPF,
+    draw_uniform,
+    first_particles,
+    move_and_weigh,
+    sin_cos,
+    systematic_resample,
+)
+from crosscomb.filters.reference import (
+    reference_dynamic_ekf,
+    reference_kinematic_kf,
+    reference_random_walk_pf,
+)
+from crosscomb.models.kinematic import input_gain, rotation, slip_of_rolling_rear
+from crosscomb.models.random_walk import random_walk_rates
+from crosscomb.models.single_track import FRICTION_MARGIN, single_track, single_track_rates, stable_substeps
+from crosscomb.models.vehicle import load_vehicle
+from crosscomb.signals import GRAVITY, MIN_SPEED, Signals
+
+DT = 0.01
+GOLF = load_vehicle("golf_gti_2018")
+FILTERS: dict[str, KernelFilter] = {
+    "kinematic_kf": KinematicKF(GOLF),
+    "dynamic_ekf_linear": DynamicEKF(GOLF, tyre="linear"),
+    "dynamic_ekf_dugoff": DynamicEKF(GOLF, tyre="dugoff"),
+    "random_walk_pf": RandomWalkPF(GOLF, particles=200),
+}
+KALMAN = [name for name in FILTERS if name != "random_walk_pf"]
+each_filter = pytest.mark.parametrize("name", FILTERS)
+each_kalman_filter = pytest.mark.parametrize("name", KALMAN)
+
+
+def slalom(
+    steps: int, tyre: str = "dugoff", steer: float = 0.04, rear: float = 0.1
+) -> tuple[Inputs, np.ndarray]:
+    """Noiseless slalom of the single-track model at 12 to 24 m/s, and its beta ``(n,) [rad]``."""
+    car = single_track(GOLF, tyre)
+    t = DT * np.arange(steps)
+    samples = np.zeros((steps, SAMPLE_WIDTH))
+    samples[:, VX] = 18.0 + 6.0 * np.sin(0.3 * t)
+    samples[:, AX] = 1.8 * np.cos(0.3 * t)
+    samples[:, FXF] = samples[:, FXR] = 0.5 * car.mass * samples[:, AX]
+    samples[:, STEER] = 0.02 + steer * np.sin(2.0 * t)
+    samples[:, STEER_REAR] = rear * samples[:, STEER]
+    beta = np.empty(steps)
+    # Starts as the filters do: they take the first yaw rate as it is, and beta as of rolling.
+    state = np.array([0.1, slip_of_rolling_rear(*samples[0, [STEER, STEER_REAR]], car.a, car.b)])
+    for k, sample in enumerate(samples):
+        given = (*sample[[VX, STEER, STEER_REAR, FXF, FXR, AX]], 0.0)
+        substeps = stable_substeps(sample[VX], DT, car) if k else 0
+        for _ in range(substeps):
+            rates, _, _ = single_track_rates(*state, *given, car)
+            state = state + DT / substeps * np.array(rates)
+        _, (_, sample[AY]), _ = single_track_rates(*state, *given, car)
+        sample[YAW_RATE], beta[k] = state
+    return Inputs(DT, samples), beta
+
+
+def noisy(inputs: Inputs, seed: int = 0) -> Inputs:
+    """The samples with sensor noise on speed, accelerations and yaw rate."""
+    rng = np.random.default_rng(seed)
+    samples = inputs.samples.copy()
+    samples[:, [VX, AX, AY, YAW_RATE]] += rng.normal(0.0, [0.05, 0.2, 0.4, 0.01], (len(samples), 4))
+    return replace(inputs, samples=samples)
+
+
+def with_gaps(inputs: Inputs, seed: int = 1) -> Inputs:
+    """The samples with gaps of up to 0.6 s in every channel."""
+    rng = np.random.default_rng(seed)
+    samples = inputs.samples.copy()
+    for column, held in ((AX, None), (AY, None), (YAW_RATE, None), (VX, VX_HELD), (STEER, STEER_HELD)):
+        for start in rng.integers(1, len(samples), max(len(samples) // 150, 1)):
+            stop = start + rng.integers(1, 60)
+            if held is None:
+                samples[start:stop, column] = np.nan
+            else:
+                samples[start:stop, column] = samples[start - 1, column]
+                samples[start:stop, held] = 1.0
+    return replace(inputs, samples=samples)
+
+
+def with_stops(inputs: Inputs) -> Inputs:
+    """The samples with a stop, a stretch in reverse and crawling about the gate."""
+    samples = inputs.samples.copy()
+    samples[400:440, VX] = 0.0
+    samples[440:460, VX] = -2.0
+    samples[800:860, VX] = MIN_SPEED + 0.2 * np.sin(np.arange(60))
+    return replace(inputs, samples=samples)
+
+
+def mirrored(inputs: Inputs) -> Inputs:
+    """The same drive with left and right exchanged."""
+    samples = inputs.samples.copy()
+    samples[:, [AY, YAW_RATE, STEER, STEER_REAR]] *= -1.0
+    return replace(inputs, samples=samples)
+
+
+def assert_same_bits(first: Estimate, second: Estimate) -> None:
+    np.testing.assert_array_equal(first.beta, second.beta)
+    np.testing.assert_array_equal(first.beta_std, second.beta_std)
+    np.testing.assert_array_equal(first.nis, second.nis)
+
+
+@cache
+def drive(name: str) -> Inputs:
+    """Drives for the tests, by name."""
+    clean, _ = slalom(1500, steer={"at the limit": 0.08, "spun": 0.15}.get(name, 0.04))
+    if name == "clean":
+        return clean
+    return noisy(clean) if name == "noisy" else with_stops(with_gaps(noisy(clean)))
+
+
+each_drive = pytest.mark.parametrize("inputs_of", ["clean", "noisy", "with gaps", "at the limit", "spun"])
+
+
+# Against filterpy.
+
+
+@each_kalman_filter
+@each_drive
+def test_kalman_kernels_agree_with_filterpy(name: str, inputs_of: str) -> None:
+    estimator, inputs = FILTERS[name], drive(inputs_of)
+    if isinstance(estimator, KinematicKF):
+        expected = reference_kinematic_kf(estimator, inputs)
+    else:
+        assert isinstance(estimator, DynamicEKF)
+        expected = reference_dynamic_ekf(estimator, inputs)
+    estimate = estimator.run(inputs)
+    np.testing.assert_allclose(estimate.beta, expected.beta, rtol=0.0, atol=1e-9)
+    np.testing.assert_allclose(estimate.beta_std, expected.beta_std, rtol=0.0, atol=1e-9)
+    np.testing.assert_allclose(estimate.nis, expected.nis, rtol=1e-9, atol=1e-9)
+    assert np.isfinite(estimate.nis).mean() > 0.5
+    assert np.ptp(estimate.beta) > np.radians(1.0), "a filter that stays where it is proves nothing"
+
+
+def scatter(runs: list[Estimate], others: list[Estimate]) -> np.ndarray:
+    """Difference of the means of beta and beta_std over standard error, at every 20th sample ``(2, m)``.
+
+    Runs of one seed each are independent, and so are the two lists: this is Welch's t.
+    """
+    first, second = (
+        np.array([(run.beta, run.beta_std) for run in side])[:, :, 20::20] for side in (runs, others)
+    )
+    error2 = first.var(axis=0, ddof=1) / len(first) + second.var(axis=0, ddof=1) / len(second)
+    return (first.mean(axis=0) - second.mean(axis=0)) / np.sqrt(error2)
+
+
+PF_SEEDS = 30
+PLAIN_PF = RandomWalkPF(GOLF, particles=400)
+
+
+def pf_drive() -> Inputs:
+    return with_gaps(noisy(slalom(160)[0]))
+
+
+def pf_runs(estimator: RandomWalkPF, inputs: Inputs) -> list[Estimate]:
+    return [replace(estimator, seed=seed).run(inputs) for seed in range(PF_SEEDS)]
+
+
+@pytest.fixture(scope="module")
+def plain_pf_runs() -> list[Estimate]:
+    inputs = pf_drive()
+    return [reference_random_walk_pf(replace(PLAIN_PF, seed=900 + i), inputs) for i in range(PF_SEEDS)]
+
+
+def test_particle_kernel_agrees_with_a_plain_filter_within_scatter(plain_pf_runs: list[Estimate]) -> None:
+    t = scatter(pf_runs(PLAIN_PF, pf_drive()), plain_pf_runs)
+    # One of 14 values of Welch's t (at least 29 degrees of freedom) is beyond 4.5 by chance in 1 of 700.
+    assert np.abs(t).max() < 4.5
+
+
+NOISE = ParticleNoise()
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        replace(PLAIN_PF, noise=NOISE._replace(slip_rate=1.5 * NOISE.slip_rate)),
+        replace(PLAIN_PF, noise=NOISE._replace(pseudo=1.5 * NOISE.pseudo)),
+    ],
+    ids=["slip noise", "pseudo-measurement"],
+)
+def test_the_scatter_would_show_a_wrong_particle_filter(
+    wrong: RandomWalkPF, plain_pf_runs: list[Estimate]
+) -> None:
+    assert np.abs(scatter(pf_runs(wrong, pf_drive()), plain_pf_runs)).max() > 4.5
+
+
+@pytest.mark.parametrize("missing", [[], [YAW_RATE], [AX], [AY], [YAW_RATE, AX, AY]])
+def test_particles_without_noise_follow_the_model_exactly(missing: list[int]) -> None:
+    estimator = RandomWalkPF(
+        GOLF, NOISE._replace(force=0.0, yaw_acceleration=0.0, slip_rate=0.0), particles=300
+    )
+    noise, car = estimator.noise, estimator.car
+    particles = estimator.make_state()
+    first_particles(particles, slalom(20)[0].samples[0], -0.05, car)
+    x, log_weights = particles.x.copy(), np.zeros(300)
+    z_beta = 0.03
+    for sample in noisy(slalom(20)[0]).samples:
+        sample[missing] = np.nan
+        move_and_weigh(particles, sample, z_beta, car, noise, DT)
+        for i in range(300):
+            *rates, ax, ay = random_walk_rates(x[:, i], *sample[[VX, STEER, STEER_REAR]], car)
+            x[:2, i] += DT * np.array(rates)
+            errors = np.array([x[0, i], ax, ay]) - sample[[YAW_RATE, AX, AY]]
+            misfit = 0.5 * (errors / [noise.yaw_rate, noise.accel, noise.accel]) ** 2
+            pseudo = 0.5 * DT * ((x[1, i] - z_beta) / noise.pseudo) ** 2
+            log_weights[i] -= np.nansum(np.minimum(misfit, 0.5 * 5.0**2)) + pseudo
+    np.testing.assert_allclose(particles.x, x, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(particles.log_weights, log_weights, rtol=1e-9)
+
+
+def test_process_noise_is_uniform_white_and_of_unit_variance() -> None:
+    n = 200_000
+    noise = np.empty((6, n))
+    draw_uniform(np.random.Generator(np.random.SFC64(1)), noise)
+    assert np.abs(noise).max() <= np.sqrt(3.0)
+    for row in noise:
+        assert kstest(row, "uniform", args=(-np.sqrt(3.0), 2.0 * np.sqrt(3.0))).pvalue > 1e-4
+    # Also between the two that one random number serves, and from one particle to the next.
+    products = [noise[i] * noise[j] for i in range(6) for j in range(i)] + [
+        row[1:] * row[:-1] for row in noise
+    ]
+    assert max(abs(product.mean()) for product in products) < 4.5 / np.sqrt(n)
+
+
+def test_resampling_copies_particles_by_their_weights() -> None:
+    n = 500
+    particles = RandomWalkPF(GOLF, particles=n).make_state()
+    weights = np.random.default_rng(2).exponential(size=n) ** 3
+    particles.weights[:] = weights / weights.sum()
+    particles.x[:] = np.arange(n) + 1000.0 * np.arange(6)[:, None]
+    systematic_resample(particles)
+    copies = np.bincount(particles.x[0].astype(int), minlength=n)
+    assert np.all(np.abs(copies - n * weights / weights.sum()) < 1.0), "systematic: never off by a whole copy"
+    np.testing.assert_array_equal(particles.x - particles.x[0], 1000.0 * np.arange(6)[:, None] + np.zeros(n))
+    assert not particles.log_weights.any()
+
+
+def test_fast_sine_and_cosine() -> None:
+    angles = np.linspace(-MAX_BETA, MAX_BETA, 2001)
+    fast = np.array([sin_cos(angle) for angle in angles])
+    np.testing.assert_allclose(fast, np.column_stack([np.sin(angles), np.cos(angles)]), rtol=0.0, atol=1e-11)
+
+
+# The same bits.
+
+
+@each_filter
+@each_drive
+def test_steps_give_the_same_bits_as_a_run(name: str, inputs_of: str) -> None:
+    estimator, inputs = FILTERS[name], drive(inputs_of)
+    started = estimator.start(DT)
+    steps = np.array([estimator.step(started, sample) for sample in inputs.samples])
+    assert_same_bits(Estimate(*steps.T), estimator.run(inputs))
+
+
+@each_filter
+def test_runs_repeat_and_leave_no_trace(name: str) -> None:
+    inputs = drive("with gaps")
+    before = inputs.samples.copy()
+    first = FILTERS[name].run(inputs)
+    assert_same_bits(first, FILTERS[name].run(inputs))
+    np.testing.assert_array_equal(inputs.samples, before)
+
+
+def test_a_seed_gives_the_same_bits_and_another_seed_others() -> None:
+    inputs, filter_ = drive("noisy"), RandomWalkPF(GOLF, particles=100, seed=3)
+    assert_same_bits(filter_.run(inputs), replace(filter_).run(inputs))
+    other = replace(filter_, seed=4).run(inputs)
+    assert np.mean(other.beta != filter_.run(inputs).beta) > 0.99
+
+
+# A noiseless drive of the filter's own model is followed without error.
+
+
+@pytest.mark.parametrize("tyre", ["linear", "dugoff"])
+def test_dynamic_ekf_follows_its_own_model(tyre: str) -> None:
+    inputs, beta = slalom(1500, tyre)
+    in_use = np.hypot(inputs.samples[:, AX], inputs.samples[:, AY]).max()
+    assert 0.5 * GOLF.friction * GRAVITY < in_use < GOLF.friction * GRAVITY / FRICTION_MARGIN, (
+        "beyond linear tyres"
+    )
+    estimate = DynamicEKF(GOLF, tyre=tyre).run(inputs)
+    np.testing.assert_allclose(estimate.beta, beta, rtol=0.0, atol=1e-9)
+    assert np.nanmax(estimate.nis) < 1e-9
+
+
+def test_kinematic_kf_follows_its_own_model() -> None:
+    inputs, _ = slalom(1500)
+    samples = inputs.samples
+    samples[:, AY] = samples[:, VX] * samples[:, YAW_RATE] + 3.0 * np.sin(5.0 * DT * np.arange(1500))
+    velocity = np.array(
+        [18.0, 18.0 * np.tan(slip_of_rolling_rear(*samples[0, [STEER, STEER_REAR]], 1.264, 1.367))]
+    )
+    truth = np.empty((1500, 2))
+    for k, sample in enumerate(samples):
+        if k:
+            ax, ay, yaw_rate = sample[[AX, AY, YAW_RATE]]
+            turned = np.reshape(rotation(yaw_rate, DT), (2, 2)) @ velocity
+            velocity = turned + np.reshape(input_gain(yaw_rate, DT), (2, 2)) @ [ax, ay]
+        truth[k] = velocity
+    samples[:, VX] = truth[:, 0]
+    assert samples[:, VX].min() > MIN_SPEED
+    estimate = KinematicKF(GOLF, KinematicNoise(relaxation=0.0)).run(inputs)
+    expected = np.arctan2(truth[:, 1], truth[:, 0])
+    assert np.ptp(expected) > np.radians(5.0)
+    np.testing.assert_allclose(estimate.beta, expected, rtol=0.0, atol=1e-9)
+
+
+# Left and right.
+
+
+@each_kalman_filter
+@each_drive
+def test_a_mirrored_drive_gives_the_mirrored_answer(name: str, inputs_of: str) -> None:
+    inputs = drive(inputs_of)
+    estimate, other = FILTERS[name].run(inputs), FILTERS[name].run(mirrored(inputs))
+    assert_same_bits(other, replace(estimate, beta=-estimate.beta))
+
+
+def test_a_mirrored_drive_gives_the_mirrored_answer_of_the_particles_within_scatter() -> None:
+    flipped = pf_runs(PLAIN_PF, mirrored(pf_drive()))
+    backed = [replace(run, beta=-run.beta) for run in flipped]
+    others = [replace(PLAIN_PF, seed=100 + seed).run(pf_drive()) for seed in range(PF_SEEDS)]
+    assert np.abs(scatter(backed, others)).max() < 4.5
+    assert np.abs(scatter(flipped, others)).max() > 4.5
+
+
+# Whatever comes.
+
+
+@each_filter
+@each_drive
+def test_state_stays_a_probability(name: str, inputs_of: str) -> None:
+    estimator = FILTERS[name]
+    started = estimator.start(DT)
+    for sample in drive(inputs_of).samples:
+        beta, beta_std, _ = estimator.step(started, sample)
+        assert np.isfinite(beta)
+        assert 0.0 <= beta_std < np.radians(180.0)
+        if name in KALMAN:
+            assert beta_std > 0.0
+            cov = started.state.cov
+            assert cov[0, 1] == cov[1, 0]
+            assert cov[0, 0] > 0.0
+            assert np.linalg.det(cov) > 0.0
+        elif started.state.running[0]:
+            assert started.state.weights.sum() == pytest.approx(1.0)
+
+
+@each_filter
+def test_below_the_gate_the_car_rolls(name: str) -> None:
+    inputs = drive("with gaps")
+    slow = ~(inputs.samples[:, VX] > MIN_SPEED)
+    after = np.flatnonzero(~slow & np.roll(slow, 1))
+    rolling = [slip_of_rolling_rear(*row, 1.264, 1.367) for row in inputs.samples[:, [STEER, STEER_REAR]]]
+    estimate = FILTERS[name].run(inputs)
+    for rows in (slow, after):
+        np.testing.assert_array_equal(estimate.beta[rows], np.array(rolling)[rows])
+        assert np.all(estimate.beta_std[rows] == LOW_SPEED_STD)
+        assert np.isnan(estimate.nis[rows]).all()
+    assert slow.sum() > 60
+    assert len(after) > 3
+
+
+@each_filter
+def test_a_stop_makes_the_filter_forget(name: str) -> None:
+    inputs, other = drive("noisy"), drive("noisy").samples.copy()
+    other[:500, [AX, AY, YAW_RATE]] += 1.0
+    first, second = inputs.samples.copy(), other
+    first[500, VX] = second[500, VX] = 0.0
+    one, two = (FILTERS[name].run(replace(inputs, samples=samples)) for samples in (first, second))
+    assert not np.allclose(one.beta[1:500], two.beta[1:500])
+    if name in KALMAN:  # the particles go on with other random numbers
+        np.testing.assert_array_equal(one.beta[500:], two.beta[500:])
+    else:
+        np.testing.assert_allclose(one.beta[501:505], two.beta[501:505], atol=0.05)
+
+
+@each_filter
+def test_a_wild_sample_leaves_the_answer_finite(name: str) -> None:
+    inputs = drive("noisy")
+    for column in (AX, AY, YAW_RATE, STEER):
+        samples = inputs.samples.copy()
+        samples[700, column] = 1e6 if column != STEER else 1.5
+        estimate = FILTERS[name].run(replace(inputs, samples=samples))
+        assert np.isfinite(estimate.beta).all()
+        assert np.isfinite(estimate.beta_std).all()
+
+
+# From a log.
+
+
+def log(steps: int = 600, **columns: np.ndarray) -> Signals:
+    """A steady left turn of the Golf, as a log at 100 Hz."""
+    samples = slalom(steps, steer=0.0)[0].samples
+    names = {"vx": VX, "ax": AX, "ay": AY, "yaw_rate": YAW_RATE, "steer": STEER, "steer_rear": STEER_REAR}
+    table = {name: samples[:, column] for name, column in names.items()}
+    return Signals("log", pd.DataFrame({"t": DT * np.arange(steps), **table, **columns}))
+
+
+def without(signals: Signals, channel: str, start: int, stop: int) -> Signals:
+    values = signals.column(channel).copy()
+    values[start:stop] = np.nan
+    return signals.with_columns(**{channel: values})
+
+
+SHARP = {
+    "kinematic_kf": KinematicKF(GOLF, KinematicNoise(accel=0.2, speed=0.03, relaxation=0.02)),
+    "dynamic_ekf": DynamicEKF(GOLF, DynamicNoise(slip_rate=0.04, ay=0.5)),
+    "random_walk_pf": RandomWalkPF(GOLF, particles=4000),
+}
+"""Filters that trust their measurements, so that a missing one tells."""
+
+TELLING = {
+    "kinematic_kf": {"vx", "ax", "ay", "yaw_rate"},
+    "dynamic_ekf": {"ay", "yaw_rate", "steer"},
+    "random_walk_pf": {"ay", "yaw_rate"},
+}
+"""Channels that each filter measures or integrates; the others only shift its model a little."""
+
+
+@pytest.mark.parametrize("name", SHARP)
+@pytest.mark.parametrize("channel", ["vx", "ax", "ay", "yaw_rate", "steer"])
+def test_a_missing_channel_widens_the_answer_and_comes_back(name: str, channel: str) -> None:
+    whole = SHARP[name].run(make_inputs(log(), GOLF, DT))
+    broken = SHARP[name].run(make_inputs(without(log(), channel, 200, 400), GOLF, DT))
+    growth = broken.beta_std / whole.beta_std
+    assert np.isfinite(broken.beta).all()
+    np.testing.assert_array_equal(growth[:200], 1.0)
+    if channel in TELLING[name]:
+        assert growth[350:400].mean() > 1.03
+        assert growth[599] < 0.5 * (1.0 + growth[399])
+    else:
+        assert 0.85 < growth[350:400].mean() < 1.2
+
+
+@pytest.mark.parametrize("name", FILTERS)
+def test_a_log_without_any_value_gets_an_answer(name: str) -> None:
+    empty = {c: np.full(50, np.nan) for c in ("vx", "ax", "ay", "yaw_rate", "steer", "steer_rear")}
+    estimate = FILTERS[name].run(make_inputs(log(50, **empty), GOLF, DT))
+    np.testing.assert_array_equal(estimate.beta, np.zeros(50))
+    empty.pop("vx")
+    estimate = FILTERS[name].run(make_inputs(log(50, **empty), GOLF, DT))
+    assert np.isfinite(estimate.beta).all()
+    assert np.isfinite(estimate.beta_std).all()
+    assert np.isfinite(estimate.nis).any() == (name == "kinematic_kf"), "only vx was measured"

@@ -1,0 +1,60 @@
+"""Kernels are compiled once for each installation, not once for each process."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+PROGRAM = """
+import json, sys
+import numpy as np
+from numba.core.dispatcher import Dispatcher
+from crosscomb.filters.base import SAMPLE_WIDTH, VX, Inputs
+from crosscomb.filters.catalogue import CATALOGUE, make_filter
+from crosscomb.models.vehicle import load_vehicle
+
+vehicle = load_vehicle("generic_compact")
+samples = np.zeros((30, SAMPLE_WIDTH))
+samples[:, VX] = 20.0
+for name in CATALOGUE:
+    estimator = make_filter(name, vehicle)
+    estimator.run(Inputs(0.01, samples))
+    estimator.step(estimator.start(0.01), samples[0])
+
+kernels = {}
+for module in [m for n, m in list(sys.modules.items()) if n.startswith("crosscomb.")]:
+    for kernel in vars(module).values():
+        if isinstance(kernel, Dispatcher) and kernel.signatures:
+            stats = kernel.stats
+            name = f"{kernel.__module__}.{kernel.__name__}"
+            kernels[name] = [sum(stats.cache_hits.values()), sum(stats.cache_misses.values())]
+print(json.dumps(kernels))
+"""
+
+
+def kernels_used(cache: Path) -> dict[str, tuple[int, int]]:
+    """Cache hits and misses of every kernel that a fresh process used."""
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(cache)}
+    done = subprocess.run(
+        [sys.executable, "-c", PROGRAM],
+        env=environment,
+        capture_output=True,
+        text=True,
+        timeout=300,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    return {name: (hits, misses) for name, (hits, misses) in json.loads(done.stdout).items()}
+
+
+def test_a_second_process_compiles_nothing(tmp_path: Path) -> None:
+    first, second = kernels_used(tmp_path), kernels_used(tmp_path)
+    compiled = {name for name, (_, misses) in first.items() if misses}
+    for family in ("kinematic_kf.kinematic_", "dynamic_ekf.dynamic_", "random_walk_pf.particle_"):
+        for way in ("step", "run"):
+            assert f"crosscomb.filters.{family}{way}" in compiled
+    assert {name for name, (_, misses) in second.items() if misses} == set()
+    assert {name for name, (hits, _) in second.items() if hits} >= {
+        name for name in compiled if name.endswith(("_step", "_run"))
+    }
