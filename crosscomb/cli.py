@@ -28,10 +28,27 @@ SelectorFileOption = Annotated[
     Path | None,
     typer.Option("--selector-file", help="Artefact of `crosscomb train`; default: the one shipped."),
 ]
+FiltersOption = Annotated[
+    str | None, typer.Option("--filters", help="Estimators by name, a,b,c, or all; see `crosscomb filters`.")
+]
 SeedOption = Annotated[
     int, typer.Option("--seed", min=0, help="The same seed gives the same result bit for bit.")
 ]
 JobsOption = Annotated[int, typer.Option("--jobs", min=1, help="Processes; does not change the result.")]
+
+
+def _names(filters: str | None) -> list[str]:
+    """Take the names in a --filters option apart; `all` is the whole catalogue."""
+    if filters is None:
+        return []
+    if filters.strip() == "all":
+        from crosscomb.filters.catalogue import CATALOGUE
+
+        return list(CATALOGUE)
+    names = [name.strip() for name in filters.split(",") if name.strip()]
+    if not names:
+        raise UsageError("--filters: names no estimator: `crosscomb filters` lists them")
+    return names
 
 
 def main() -> None:
@@ -157,22 +174,26 @@ def train(
     rate: Annotated[float, typer.Option("--rate", min=10.0, max=1000.0, help="Working rate [Hz].")] = 100.0,
     channel_map: MapOption = None,
     jobs: JobsOption = 2,
+    filters: FiltersOption = None,
 ) -> None:
     """Train a selector, cross-validate it, and write the artefact and its report."""
     from crosscomb import terminal
     from crosscomb.artefact import save_artefact
     from crosscomb.channel_map import load_map
     from crosscomb.files import refuse_overwriting, run_record, write_json
+    from crosscomb.filters.catalogue import DEFAULT_FILTERS
     from crosscomb.report import beside_artefact, row_shares, write_training
     from crosscomb.training.fit import SELECTORS
     from crosscomb.training.recordings import find_places, read_recordings, require_enough
-    from crosscomb.training.train import steps
+    from crosscomb.training.train import require_filters, steps
     from crosscomb.training.train import train as run_training
 
     if selector not in SELECTORS:
         raise UsageError(f"--selector {selector}: unknown: take one of {', '.join(SELECTORS)}")
     if output.suffix != ".json":
         raise UsageError(f"{output}: an artefact is a JSON file: let its name end in .json")
+    names = _names(filters) or list(DEFAULT_FILTERS)
+    require_filters(names)
     signs = load_map(channel_map) if channel_map else None
     with terminal.progress("reading", sum(len(logs) for _, logs in find_places(data_dir))) as advance:
         recordings, notes = read_recordings(data_dir, vehicle, signs, advance)
@@ -184,10 +205,12 @@ def train(
     record_file = output.with_suffix(".run.json")
     refuse_overwriting(inputs, [output, record_file, *beside_artefact(output)])
     with terminal.progress("training", steps(recordings, selector)) as advance:
-        training = run_training(recordings, selector, folds, seed, rate, jobs, advance)
+        training = run_training(recordings, selector, folds, seed, rate, jobs, advance, names)
     save_artefact(training.artefact, output)
     paths = write_training(training, output, notes)
-    settings = {"selector": selector, "folds": folds, "seed": seed, "rate": rate, "vehicle": vehicle}
+    settings = {
+        "selector": selector, "folds": folds, "seed": seed, "rate": rate, "vehicle": vehicle, "filters": names,
+    }  # fmt: skip
     write_json(record_file, run_record("train", settings, inputs))
 
     for part, evaluation in training.evaluations.items():
@@ -196,7 +219,6 @@ def train(
         terminal.say(
             f"{part}: switch / best single filter ({evaluation.best_single}) = {evaluation.ratio:.3f}\n"
         )
-    names = training.artefact.filter_names
     terminal.show_confusion(training.folds.confusion, row_shares(training.folds.confusion), names)
     terminal.say(f"written: {output}, {', '.join(path.name for path in paths)}")
 
@@ -213,16 +235,19 @@ def estimate(
     plot: Annotated[
         bool, typer.Option("--plot", help="Also draw beta, its band and the active filter.")
     ] = False,
+    filters: FiltersOption = None,
 ) -> None:
     """Estimate the sideslip angle of logs; with ground truth in them, also score it."""
     from crosscomb import terminal
     from crosscomb.artefact import load_artefact
     from crosscomb.channel_map import load_map
-    from crosscomb.estimate import estimate_log, open_logs, write_estimate
+    from crosscomb.estimate import estimate_log, name_filters, open_logs, write_estimate
     from crosscomb.files import run_record, write_json
     from crosscomb.training.metrics import score_log
 
     artefact = load_artefact(selector_file)
+    names = _names(filters)
+    name_filters(names, artefact)
     signs = load_map(channel_map) if channel_map else None
     with terminal.progress("reading", len(logs)) as advance:
         opened = open_logs(logs, artefact, vehicle, signs, output, advance)
@@ -231,12 +256,12 @@ def estimate(
     scores, notes = {}, []
     with terminal.progress("estimating", len(opened)) as advance:
         for log in opened:
-            result = estimate_log(log.signals, log.vehicle, artefact)
+            result = estimate_log(log.signals, log.vehicle, artefact, names or None)
             name = log.signals.name
             write_estimate(result, output / f"{name}.estimate.csv")
             settings = {
                 "artefact": str(selector_file or "shipped"), "vehicle": log.vehicle.model_dump(),
-                "vehicle_from": log.origin, "notes": list(result.signals.notes),
+                "vehicle_from": log.origin, "filters": list(result.filters), "notes": list(result.signals.notes),
             }  # fmt: skip
             inputs = [log.path, *_existing(selector_file, channel_map, log.origin)]
             write_json(output / f"{name}.run.json", run_record("estimate", settings, inputs))
@@ -291,7 +316,7 @@ def check(
 
 @app.command()
 def benchmark(
-    suite: Annotated[str, typer.Argument(help="real or simulated.")] = "simulated",
+    suite: Annotated[str, typer.Argument(help="real, simulated or papers.")] = "simulated",
     data: Annotated[
         Path | None, typer.Option("--data", help="Folder of real logs, for the suite real.")
     ] = None,
@@ -300,30 +325,46 @@ def benchmark(
         Path | None, typer.Option("-o", "--output", help="Markdown file to keep the tables in.")
     ] = None,
     jobs: JobsOption = 2,
+    filters: FiltersOption = None,
 ) -> None:
     """Print accuracy and speed of all estimators."""
     from crosscomb import terminal
     from crosscomb.artefact import load_artefact
-    from crosscomb.results import write_benchmark
+    from crosscomb.estimate import name_filters
+    from crosscomb.results import write_benchmark, write_papers
     from crosscomb.training import benchmark as suites
+    from crosscomb.training.recordings import find_places
 
     artefact = load_artefact(selector_file)
+    if suite == "papers":
+        from crosscomb.training.paper_benchmarks import PAPERS
+
+        with terminal.progress("rebuilding tables", len(PAPERS)) as advance:
+            tables = {}
+            for paper, rebuild in PAPERS.items():
+                tables |= {f"{paper}, {title}": table for title, table in rebuild().items()}
+                advance()
+        for name, table in tables.items():
+            terminal.show_table(name, table.table)
+            terminal.say(table.verdict + "\n")
+        if output is not None:
+            write_papers(output, tables)
+        return
+    beside = name_filters([name for name in _names(filters) if name not in artefact.filter_names], artefact)
     if suite == "real":
         if data is None:
             raise UsageError("benchmark real: needs the folder of the logs: give --data")
-        from crosscomb.training.recordings import find_places
-
         with terminal.progress("filtering", 2 * sum(len(logs) for _, logs in find_places(data))) as advance:
-            result = suites.benchmark_real(data, artefact, jobs, advance)
+            result = suites.benchmark_real(data, artefact, jobs, advance, beside)
     elif suite == "simulated":
         with terminal.progress("filtering", suites.SIMULATED_LOGS) as advance:
-            result = suites.benchmark_simulated(artefact, jobs, advance)
+            result = suites.benchmark_simulated(artefact, jobs, advance, beside)
     else:
-        raise UsageError(f"benchmark {suite}: unknown suite: take real or simulated")
+        raise UsageError(f"benchmark {suite}: unknown suite: take real, simulated or papers")
     for note in result.notes:
         terminal.warn(note)
     terminal.show_benchmark(result)
-    speeds = suites.filter_speeds(artefact)
+    speeds = suites.filter_speeds(artefact, beside)
     terminal.show("Speed", ["filter", "us per sample"], [[name, f"{us:.2f}"] for name, us in speeds.items()])
     if output is not None:
         write_benchmark(output, suite, result, speeds)

@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import reduce
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 
-from crosscomb.artefact import Artefact
+from crosscomb.artefact import Artefact, FilterSettings
 from crosscomb.channel_map import ChannelMap
 from crosscomb.errors import UsageError
 from crosscomb.files import refuse_overwriting, write_text
 from crosscomb.filters.base import KernelFilter, make_inputs
-from crosscomb.filters.catalogue import make_filter
+from crosscomb.filters.catalogue import CATALOGUE, make_filter
 from crosscomb.logs import log_name, read_log
 from crosscomb.models.vehicle import Vehicle, load_vehicle
 from crosscomb.plausibility import check_units
@@ -58,6 +58,13 @@ class FilterRun:
     beta_std: np.ndarray
     nis: np.ndarray
     features: np.ndarray
+
+    def only(self, members: Sequence[int]) -> FilterRun:
+        """Keep some of the filters, in the order given."""
+        chosen = list(members)
+        return replace(
+            self, beta=self.beta[:, chosen], beta_std=self.beta_std[:, chosen], nis=self.nis[:, chosen]
+        )
 
 
 @dataclass(frozen=True)
@@ -123,12 +130,31 @@ def run_filters(
     return runs
 
 
-def make_filters(artefact: Artefact, vehicle: Vehicle) -> list[KernelFilter]:
-    """Make the artefact's filters for a vehicle."""
-    return [make_filter(entry.name, vehicle, entry.settings) for entry in artefact.filters]
+def make_filters(entries: Sequence[FilterSettings], vehicle: Vehicle) -> list[KernelFilter]:
+    """Make filters for a vehicle."""
+    return [make_filter(entry.name, vehicle, entry.settings) for entry in entries]
 
 
-def estimate_log(signals: Signals, vehicle: Vehicle, artefact: Artefact) -> LogEstimate:
+def name_filters(names: Sequence[str], artefact: Artefact) -> list[FilterSettings]:
+    """Settings of the named filters: the artefact's own where it has them, else the defaults.
+
+    Raises
+    ------
+    UsageError
+        A name is not in the catalogue, or stands twice.
+    """
+    known = {entry.name: entry for entry in artefact.filters}
+    for name in names:
+        if name not in CATALOGUE:
+            raise UsageError(f"--filters {name}: not in the catalogue: `crosscomb filters` lists it")
+        if names.count(name) > 1:
+            raise UsageError(f"--filters {name}: named twice: name it once")
+    return [known.get(name, FilterSettings(name=name)) for name in names]
+
+
+def estimate_log(
+    signals: Signals, vehicle: Vehicle, artefact: Artefact, filters: Sequence[str] | None = None
+) -> LogEstimate:
     """Estimate the sideslip angle at each row of a log.
 
     A row holds the newest estimate at or before its time; none is made from later samples.
@@ -139,13 +165,30 @@ def estimate_log(signals: Signals, vehicle: Vehicle, artefact: Artefact) -> LogE
         As read from a file.
     vehicle : Vehicle
     artefact : Artefact
+    filters : sequence of str, optional
+        Estimators to run instead of the artefact's. With all of the artefact's among them its switch works as ever,
+        and the others stand beside it; else the first named one is the answer, and nothing is switched.
     """
     signals = complete(signals, vehicle)
-    names = artefact.filter_names
-    runs = run_filters(signals, vehicle, make_filters(artefact, vehicle), artefact.rate, artefact.window)
+    names = list(filters or artefact.filter_names)
+    made = make_filters(name_filters(names, artefact), vehicle)
+    switched = all(name in names for name in artefact.filter_names)
+    members = [names.index(name) for name in (artefact.filter_names if switched else names[:1])]
+    if not switched:
+        signals = replace(signals, notes=(*signals.notes, f"{names[0]} is the answer: the selector needs all of "
+                                          f"{', '.join(artefact.filter_names)}"))  # fmt: skip
+    runs = run_filters(signals, vehicle, made, artefact.rate, artefact.window)
     parts = []
     for run in runs:
-        beta, beta_std, active = select(run, artefact)
+        if switched:
+            beta, beta_std, chosen = select(run.only(members), artefact)
+        else:
+            beta, beta_std, chosen = (
+                run.beta[:, 0],
+                run.beta_std[:, 0],
+                np.zeros(len(run.beta), dtype=np.int64),
+            )
+        active = np.array(members)[chosen]
         status = _status(run.segment.signals, artefact.tree.outside(run.features), artefact.rate)
         rows = signals.t[run.segment.start_row : run.segment.stop_row]
         at = rows_to_grid(rows, run.segment, artefact.rate)

@@ -13,6 +13,7 @@ from crosscomb.files import write_text
 
 if TYPE_CHECKING:
     from crosscomb.training.benchmark import Benchmark
+    from crosscomb.training.paper_benchmarks_adaptive import PaperTable
 
 TITLE = "# Results\n\nMeasured with the commands named in each section. Nothing here is typed by hand.\n"
 
@@ -50,6 +51,28 @@ def score_cells(rmse: np.ndarray, largest: np.ndarray) -> list[str]:
     return [f"{error:.2f} / {peak:.1f}" for error, peak in zip(rmse, largest, strict=True)]
 
 
+WIDE = 10
+"""More estimators than this stand as rows, the recordings as columns."""
+
+
+def summary_rows(
+    rmse: pd.DataFrame, largest: pd.DataFrame, summaries: Mapping[str, Sequence[str]]
+) -> list[list[str]]:
+    """Rows per estimator, the best first: mean RMSE and largest error over named sets of recordings [deg]."""
+    means = {text: rmse.loc[list(members)].mean() for text, members in summaries.items()}
+    peaks = {text: largest.loc[list(members)].max() for text, members in summaries.items()}
+    order = next(iter(means.values())).sort_values().index
+    return [
+        [str(name), *(f"{means[text][name]:.2f} / {peaks[text][name]:.1f}" for text in summaries)]
+        for name in order
+    ]
+
+
+def number(value: object) -> str:
+    """Cell of a table: numbers with three digits, words as they are."""
+    return f"{value:.3g}" if isinstance(value, float) else str(value)
+
+
 def write_section(path: Path, name: str, text: str) -> None:
     """Put a section into a Markdown file, in the place of an earlier one of that name."""
     begin, end = f"<!-- {name}:begin -->", f"<!-- {name}:end -->"
@@ -70,21 +93,52 @@ HOW = {
 
 
 def write_benchmark(path: Path, suite: str, result: Benchmark, speeds: dict[str, float]) -> None:
-    """Keep the tables of a benchmark in a Markdown file."""
+    """Keep the tables of a benchmark in a Markdown file, in a section of its own when there are many estimators."""
     rmse, largest = result.evaluation.rmse, result.evaluation.largest
-    scores = markdown_table(
-        ["recording", *map(str, rmse.columns)], score_rows(rmse, largest, result.summaries)
-    )
+    many = len(rmse.columns) > WIDE
     pace = markdown_table(["filter", "us per sample"], [[name, f"{us:.2f}"] for name, us in speeds.items()])
     lines = [
-        f"## All estimators on {suite} logs",
-        f"Made by {HOW[suite]}.",
+        f"## {'The whole catalogue' if many else 'The switch and its filters'} on {suite} logs",
+        f"Made by {HOW[suite].replace(' -o', ' --filters all -o') if many else HOW[suite]}.",
         "RMSE / largest error in deg over the samples above 3 m/s. `zero` is the answer beta = 0; `switch` is the "
-        "artefact; `oracle` picks the best filter of every window of ten samples with the truth in hand. Summary "
-        "rows: mean of the RMSE, largest error.",
-        scores,
+        "artefact; `oracle` picks the best of the switch's filters in every window of ten samples with the truth in "
+        "hand. Summaries: mean of the RMSE, largest error.",
+        *(_wide_tables(result) if many else [_tall_table(result)]),
         *(f"- {note}" for note in result.notes),
         "Time per sample on the machine of the run, for the order of magnitude only:",
         pace,
     ]
-    write_section(path, suite, "\n\n".join(lines))
+    write_section(path, f"{suite}-all" if many else suite, "\n\n".join(lines))
+
+
+def _tall_table(result: Benchmark) -> str:
+    rmse, largest = result.evaluation.rmse, result.evaluation.largest
+    return markdown_table(["recording", *map(str, rmse.columns)], score_rows(rmse, largest, result.summaries))
+
+
+def _wide_tables(result: Benchmark) -> list[str]:
+    rmse, largest = result.evaluation.rmse, result.evaluation.largest
+    summary = summary_rows(rmse, largest, result.summaries)
+    # Recordings by number: their names are too long for column heads.
+    key = [f"{i}: {name}" for i, name in enumerate(rmse.index, start=1)]
+    columns = {str(name): rmse[name].to_numpy() for name in rmse.columns}
+    rows = [[row[0], *(f"{value:.2f}" for value in columns[row[0]])] for row in summary]
+    return [
+        markdown_table(["estimator", *result.summaries], summary),
+        "RMSE [deg] per recording: " + "; ".join(key) + ".",
+        markdown_table(["estimator", *map(str, range(1, len(rmse) + 1))], rows),
+    ]
+
+
+def write_papers(path: Path, tables: Mapping[str, PaperTable]) -> None:
+    """Keep the rebuilt tables of the papers in a Markdown file."""
+    lines = [
+        "## Tables of the papers, rebuilt with our data",
+        "Made by `crosscomb benchmark papers -o docs/results.md`. All logs are simulated; noise settings are the "
+        "defaults, where the papers tuned theirs.",
+    ]
+    for name, paper in tables.items():
+        table = paper.table
+        rows = [[str(i), *map(number, row)] for i, row in zip(table.index, table.to_numpy(), strict=True)]
+        lines += [f"### {name}", markdown_table(["", *map(str, table.columns)], rows), paper.verdict]
+    write_section(path, "papers", "\n\n".join(lines))

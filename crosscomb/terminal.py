@@ -12,7 +12,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from crosscomb.results import score_rows
+from crosscomb.results import WIDE, number, score_rows, summary_rows
 from crosscomb.signals import UNITS, Signals
 
 if TYPE_CHECKING:
@@ -77,8 +77,18 @@ def show_scores(title: str, rmse: pd.DataFrame, largest: pd.DataFrame) -> None:
 def show_benchmark(result: Benchmark) -> None:
     """Print the scores of a benchmark."""
     rmse, largest = result.evaluation.rmse, result.evaluation.largest
+    if len(rmse.columns) > WIDE:
+        header = ["RMSE / max [deg]", *result.summaries]
+        show("Accuracy", header, summary_rows(rmse, largest, result.summaries))
+        return
     rows = score_rows(rmse, largest, result.summaries)
     show("Accuracy", ["RMSE / max [deg]", *map(str, rmse.columns)], rows)
+
+
+def show_table(title: str, table: pd.DataFrame) -> None:
+    """Print a table of numbers with its index."""
+    rows = [[str(name), *map(number, row)] for name, row in zip(table.index, table.to_numpy(), strict=True)]
+    show(title, ["", *map(str, table.columns)], rows)
 
 
 def show_log_scores(scores: dict[str, dict[str, Score]]) -> None:

@@ -28,7 +28,7 @@ from crosscomb.filters.base import (
     low_speed_answer,
 )  # fmt: skip
 from crosscomb.filters.kinematic_kf import KinematicNoise
-from crosscomb.filters.particles import RESAMPLE_BELOW, UNIFORM, cloud, draw_uniform, normalise
+from crosscomb.filters.particles import LEAST_STD, RESAMPLE_BELOW, UNIFORM, cloud, draw_uniform, normalise
 from crosscomb.filters.resampling import RESAMPLING, resample
 from crosscomb.models.kinematic import input_gain, rotation
 from crosscomb.signals import MIN_SPEED
@@ -96,7 +96,7 @@ def weighted_slip(state):
     variance, speed2 = 0.0, vx * vx + vy * vy
     for i in range(weights.size):
         variance += weights[i] * (vx * (x[1, i] - vy) - vy * (x[0, i] - vx)) ** 2
-    return math.atan2(vy, vx), math.sqrt(variance) / speed2
+    return math.atan2(vy, vx), max(math.sqrt(variance) / speed2, LEAST_STD)
 
 
 @njit(cache=True)

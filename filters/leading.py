@@ -69,16 +69,19 @@ def consider_update(mean, cov, row, innovation, variance, free, gain, crossed):
     n = row.shape[0]
     s = variance
     for i in range(n):
-        total = 0.0
-        for j in range(n):
-            total += cov[i, j] * row[j]
-        crossed[i] = total
-        s += row[i] * total
+        crossed[i] = 0.0
+    for j in range(n):  # most rows are mostly zero
+        weight = row[j]
+        if weight != 0.0:
+            for i in range(n):
+                crossed[i] += weight * cov[j, i]
+    for i in range(n):
+        s += row[i] * crossed[i]
     for i in range(n):
         gain[i] = crossed[i] / s if i < free else 0.0
         mean[i] += gain[i] * innovation
     for i in range(n):
-        for j in range(i, n):
-            part = cov[i, j] - gain[i] * crossed[j] - crossed[i] * gain[j] + gain[i] * gain[j] * s
-            cov[i, j] = cov[j, i] = part
+        g, c = gain[i], crossed[i]
+        for j in range(n):  # in this order of sums the result is symmetric to the last bit
+            cov[i, j] = cov[i, j] - (g * crossed[j] + c * gain[j]) + s * (g * gain[j])
     return innovation * innovation / s

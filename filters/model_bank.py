@@ -115,6 +115,7 @@ def slip_update(state, sample, noise):
     if math.isfinite(sample[YAW_RATE]):
         variance = state.cov[0, 0] + noise.dynamic.yaw_rate**2
         nis = scalar_update(state, 1.0, 0.0, sample[YAW_RATE] - state.mean[0], noise.dynamic.yaw_rate**2)
+        state.mean[1] = min(max(state.mean[1], -MAX_BETA), MAX_BETA)
         log_likelihood += normal_log_density(nis, variance)
     if math.isfinite(sample[AY]):
         log_likelihood += normal_log_density(1.0, noise.surprise**2)

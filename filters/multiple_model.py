@@ -47,10 +47,15 @@ from crosscomb.models.single_track import single_track
 def weigh(bank, prior, noise, dt):
     """Bayes: the probabilities after the update from those before it."""
     share = dt / (dt + noise.correlation)
-    best = max(bank.log_likelihood[0], bank.log_likelihood[1], bank.log_likelihood[2])
-    total = 0.0
+    best, total = -math.inf, 0.0
     for i in range(MODELS):
-        bank.probability[i] = prior[i] * math.exp(share * (bank.log_likelihood[i] - best))
+        if prior[i] > 0.0:
+            best = max(best, bank.log_likelihood[i])
+    for i in range(MODELS):
+        if prior[i] > 0.0:
+            bank.probability[i] = prior[i] * math.exp(share * (bank.log_likelihood[i] - best))
+        else:
+            bank.probability[i] = 0.0
         total += bank.probability[i]
     for i in range(MODELS):
         bank.probability[i] /= total
@@ -68,8 +73,8 @@ def interact(bank, noise, dt, prior):
         change = (1.0 - stay) * shares[j]
         prior[j] = stay * bank.probability[j] + change
         for i in range(MODELS):
-            weights[i] = bank.probability[i] * change / prior[j]
-        weights[j] += bank.probability[j] * stay / prior[j]
+            weights[i] = bank.probability[i] * change / prior[j] if prior[j] > 0.0 else 0.0
+        weights[j] = 1.0 - (weights.sum() - weights[j])
         combine(bank, weights, bank.mixed_mean[j], bank.mixed_cov[j])
     for j in range(MODELS):
         members[j].mean[:] = bank.mixed_mean[j]

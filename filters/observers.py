@@ -92,14 +92,12 @@ class Observer(NamedTuple):
 
 
 @njit(cache=True)
-def gains(a11, a21, c21, beta, vx, car, settings, h):
-    """Gains l11, l21, l22 that place the poles; l12 is 0. A step of h must stay stable with the yaw pole."""
-    damping = (car.a * car.a * car.stiffness_front + car.b * car.b * car.stiffness_rear) / (
-        car.yaw_inertia * vx
-    )
+def gains(a11, a21, c21, beta, vx, car, settings):
+    """Gains l11, l21, l22 [1/s, 1/s, rad s/m] that place the poles; l12 is 0."""
+    damping = car.a * car.a * car.stiffness_front + car.b * car.b * car.stiffness_rear
     cosine = math.cos(beta)
     l22 = (1.0 - min(settings.slip_pole, 1.0)) * cosine * cosine / vx
-    return a11 + min(settings.yaw_pole * damping, 1.0 / h), a21 - l22 * c21, l22
+    return a11 + settings.yaw_pole * damping / (car.yaw_inertia * vx), a21 - l22 * c21, l22
 
 
 @njit(cache=True)
@@ -109,11 +107,10 @@ def saturate(value, layer):
 
 
 @njit(cache=True)
-def move(state, yaw_acceleration, beta_rate, h):
-    """One Euler step of the state, which is held inside meaningful ranges."""
-    mean = state.mean
-    mean[0] = min(max(mean[0] + h * yaw_acceleration, -MAX_YAW_RATE), MAX_YAW_RATE)
-    mean[1] = min(max(mean[1] + h * beta_rate, -MAX_BETA), MAX_BETA)
+def move(mean, yaw_rate, beta):
+    """Change the state by so much and hold it inside meaningful ranges."""
+    mean[0] = min(max(mean[0] + yaw_rate, -MAX_YAW_RATE), MAX_YAW_RATE)
+    mean[1] = min(max(mean[1] + beta, -MAX_BETA), MAX_BETA)
 
 
 @njit(cache=True)
@@ -126,7 +123,7 @@ def observer_start(state, sample, car, out):
     state.running[0] = 0 if slow else 1
     state.mean[0] = sample[YAW_RATE] if math.isfinite(sample[YAW_RATE]) else 0.0
     state.mean[1] = out[BETA]
-    state.error2[0] = ((car.stiffness_front + car.stiffness_rear) / car.mass * out[BETA_STD]) ** 2
+    state.error2[0] = ((car.stiffness_front + car.stiffness_rear) / car.mass * 0.5 * out[BETA_STD]) ** 2
     return True
 
 
@@ -147,18 +144,23 @@ def observer_answer(state, sample, ay, car, settings, dt, out):
 
 
 @njit(cache=True)
-def correct(state, sample, rates, ay, a11, a21, c21, car, settings, layers, h):
-    """One Euler step of the model's rates and the gains times the innovations, held inside their layers."""
+def correct(state, sample, ay, a11, a21, c21, c22, car, settings, layers, dt):
+    """Correct the predicted state with the innovations, held inside their layers, over the whole sample.
+
+    What the gains do to an error over dt is taken exactly, so the poles hold at every rate.
+    """
+    mean = state.mean
     if not math.isfinite(sample[YAW_RATE]):  # ay alone cannot hold the observer: it runs on its model
-        move(state, rates[0], rates[1], h)
         return
-    l11, l21, l22 = gains(a11, a21, c21, state.mean[1], sample[VX], car, settings, h)
-    error_yaw = saturate(sample[YAW_RATE] - state.mean[0], layers[0])
+    l11, l21, l22 = gains(a11, a21, c21, mean[1], sample[VX], car, settings)
+    error_yaw = saturate(sample[YAW_RATE] - mean[0], layers[0])
     if math.isfinite(sample[AY]):
-        correction = l21 * error_yaw + l22 * saturate(sample[AY] - ay, layers[1])
+        growth = min(l22 * max(-c22, 1e-6) * dt, 20.0)
+        gain = l22 * dt * math.expm1(growth) / growth if growth > 0.0 else 0.0
+        correction = l21 * dt * error_yaw + gain * saturate(sample[AY] - ay, layers[1])
     else:  # without l22 it is a21 that keeps the yaw error out of beta
-        correction = a21 * error_yaw
-    move(state, rates[0] + l11 * error_yaw, rates[1] + correction, h)
+        correction = a21 * dt * error_yaw
+    move(mean, -math.expm1(-l11 * dt) * error_yaw, correction)
 
 
 @njit(cache=True)
@@ -168,12 +170,14 @@ def luenberger_step(state, sample, car, settings, dt, out):
         return
     mean, vx, steer, steer_rear = state.mean, sample[VX], sample[STEER], sample[STEER_REAR]
     steps = stable_substeps(vx, dt, car)
+    h = dt / steps
     for _ in range(steps):
-        rates, ay, (a11, a21, c21, _, _, _) = linear_single_track_rates(
-            mean[0], mean[1], vx, steer, steer_rear, car
-        )
-        correct(state, sample, rates, ay, a11, a21, c21, car, settings, NO_LAYERS, dt / steps)
-    _, ay, _ = linear_single_track_rates(mean[0], mean[1], vx, steer, steer_rear, car)
+        rates, _, _ = linear_single_track_rates(mean[0], mean[1], vx, steer, steer_rear, car)
+        move(mean, h * rates[0], h * rates[1])
+    _, ay, (a11, a21, c21, _, _, c22) = linear_single_track_rates(
+        mean[0], mean[1], vx, steer, steer_rear, car
+    )
+    correct(state, sample, ay, a11, a21, c21, c22, car, settings, NO_LAYERS, dt)
     observer_answer(state, sample, ay, car, settings, dt, out)
 
 
@@ -187,12 +191,14 @@ def nonlinear_step(state, sample, car, settings, layers, dt, out):
     ax = sample[AX] if math.isfinite(sample[AX]) else 0.0
     ay_seen = sample[AY] if math.isfinite(sample[AY]) else 0.0
     steps = stable_substeps(vx, dt, car)
+    h = dt / steps
     for _ in range(steps):
-        rates, (_, ay), (a11, a21, _, c21, _, _, _, _) = single_track_rates(
-            mean[0], mean[1], vx, steer, steer_rear, fxf, fxr, ax, ay_seen, car
-        )
-        correct(state, sample, rates, ay, a11, a21, c21, car, settings, layers, dt / steps)
-    _, (_, ay), _ = single_track_rates(mean[0], mean[1], vx, steer, steer_rear, fxf, fxr, ax, ay_seen, car)
+        rates, _, _ = single_track_rates(mean[0], mean[1], vx, steer, steer_rear, fxf, fxr, ax, ay_seen, car)
+        move(mean, h * rates[0], h * rates[1])
+    _, (_, ay), (a11, a21, _, c21, _, _, _, c22) = single_track_rates(
+        mean[0], mean[1], vx, steer, steer_rear, fxf, fxr, ax, ay_seen, car
+    )
+    correct(state, sample, ay, a11, a21, c21, c22, car, settings, layers, dt)
     observer_answer(state, sample, ay, car, settings, dt, out)
 
 

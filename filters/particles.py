@@ -19,6 +19,9 @@ UNIFORM = math.sqrt(12.0)  # width of a uniform distribution of unit variance
 RESAMPLE_BELOW = 0.5
 """Share of effective particles below which they are drawn anew."""
 
+LEAST_STD = 1e-5
+"""Least standard deviation of beta [rad]: also copies of one particle are not certain."""
+
 
 def cloud(states: int, particles: int, resampling: str, seed: int) -> dict[str, Any]:
     """Make the fields that the states of all particle filters have.
@@ -90,4 +93,4 @@ def weighted_beta(particles):
     variance = 0.0
     for i in range(weights.size):
         variance += weights[i] * (beta[i] - mean) ** 2
-    return mean, math.sqrt(variance)
+    return mean, max(math.sqrt(variance), LEAST_STD)

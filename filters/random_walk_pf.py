@@ -88,13 +88,19 @@ def sin_cos(angle):
 
 
 @njit(cache=True)
-def first_particles(particles, sample, beta, car):
-    """Spread the particles uniformly around beta and what the sample says of yaw rate and forces."""
-    x, rng = particles.x, particles.rng
+def first_guess(sample, beta, car):
+    """State that beta and a sample's yaw rate, ay and longitudinal forces suggest."""
     yaw_rate = sample[YAW_RATE] if math.isfinite(sample[YAW_RATE]) else 0.0
     side = car.mass * sample[AY] if math.isfinite(sample[AY]) else 0.0
     front = car.b / (car.a + car.b)
-    centre = (yaw_rate, beta, sample[FXF], sample[FXR], front * side, (1.0 - front) * side)
+    return yaw_rate, beta, sample[FXF], sample[FXR], front * side, (1.0 - front) * side
+
+
+@njit(cache=True)
+def first_particles(particles, sample, beta, car):
+    """Spread the particles uniformly around the first guess."""
+    x, rng = particles.x, particles.rng
+    centre = first_guess(sample, beta, car)
     for row in range(6):
         half = FIRST_SPREAD[row] * (car.mass if row > 1 else 1.0)
         for i in range(x.shape[1]):

@@ -30,20 +30,23 @@ def magic_formula(slip, stiffness_factor, shape, peak, curvature):
     """
     w = stiffness_factor * slip
     bent = w - curvature * (w - math.atan(w))
-    phase = shape * math.atan(bent)
+    sine, cosine = sine_cosine(shape * math.atan(bent))
     bent_slope = stiffness_factor * (1.0 - curvature * w * w / (1.0 + w * w))
-    slope = peak * shape * math.cos(phase) * bent_slope / (1.0 + bent * bent)
-    return peak * math.sin(phase), slope
+    return peak * sine, peak * shape * cosine * bent_slope / (1.0 + bent * bent)
 
 
 @njit(cache=True)
 def magic_formula_bend(slip, stiffness_factor, shape, peak, curvature):
-    """Second derivative of the force of `magic_formula` by the slip [N per unit of slip squared].
+    """First and second derivative of the force of `magic_formula` by the slip.
 
     Parameters
     ----------
     slip, stiffness_factor, shape, peak, curvature
         As in `magic_formula`.
+
+    Returns
+    -------
+    slope, bend : float [N per unit of slip], float [N per unit of slip squared]
     """
     w = stiffness_factor * slip
     square = 1.0 + w * w
@@ -51,10 +54,20 @@ def magic_formula_bend(slip, stiffness_factor, shape, peak, curvature):
     bent_slope = stiffness_factor * (1.0 - curvature * w * w / square)
     bent_bend = -curvature * stiffness_factor * stiffness_factor * 2.0 * w / (square * square)
     width = 1.0 + bent * bent
-    phase = shape * math.atan(bent)
+    sine, cosine = sine_cosine(shape * math.atan(bent))
     phase_slope = bent_slope / width
     phase_bend = (bent_bend - 2.0 * bent * bent_slope * phase_slope) / width
-    return peak * shape * (math.cos(phase) * phase_bend - shape * math.sin(phase) * phase_slope * phase_slope)
+    scale = peak * shape
+    return scale * cosine * phase_slope, scale * (
+        cosine * phase_bend - shape * sine * phase_slope * phase_slope
+    )
+
+
+@njit(cache=True)
+def sine_cosine(phase):
+    """Sine and cosine for |phase| <= pi; one square root is cheaper than a second series."""
+    sine = math.sin(phase)
+    return sine, math.copysign(math.sqrt(max(1.0 - sine * sine, 0.0)), 0.5 * math.pi - abs(phase))
 
 
 @njit(cache=True)

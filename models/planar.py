@@ -115,42 +115,52 @@ def set_contacts(contact, steer, steer_rear, fxf, fxr, ax, ay, car):
         Measured, for load transfer and friction; 0 where not known.
     car : PlanarCar
     """
-    wheels, known = contact.wheels, contact.known
+    wheels, known, rows = contact.wheels, contact.known, contact.speed_rows
     friction = max(car.friction, FRICTION_MARGIN * math.hypot(ax, ay) / GRAVITY)
     rest_f, rest_r = axle_loads(0.0, car)
     load_f, load_r = axle_loads(ax, car)
-    sides = car.wheels // 2
-    cos_f, sin_f = math.cos(steer), math.sin(steer)
-    cos_r, sin_r = math.cos(steer_rear), math.sin(steer_rear)
-    known[0], known[1], known[2] = 0.0, 0.0, 0.0
-    for i in range(car.wheels):
-        if i < sides:
-            cos, sin, x, half, share = cos_f, sin_f, car.a, car.half_track_front, car.roll_share_front
-            load, rest, stiffness, force = load_f, rest_f, car.stiffness_front, fxf
-        else:
-            cos, sin, x, half, share = cos_r, sin_r, -car.b, car.half_track_rear, 1.0 - car.roll_share_front
-            load, rest, stiffness, force = load_r, rest_r, car.stiffness_rear, fxr
-        y = 0.0
-        if sides == 2:
-            left = i % 2 == 0
-            y = half if left else -half
-            # A left turn, ay > 0, loads the right wheels.
-            transfer = 0.5 * share * car.mass * ay * car.cg_height / half
-            load = max(0.5 * load - transfer if left else 0.5 * load + transfer, 0.05 * rest)
-            rest, stiffness, force = 0.5 * rest, 0.5 * stiffness, 0.5 * force
-        wheels[i, COS], wheels[i, SIN] = cos, sin
-        wheels[i, SIDE_ARM], wheels[i, ROLL_ARM] = x * cos + y * sin, x * sin - y * cos
-        a1, a2 = -friction * car.load_sensitivity / rest, friction * (1.0 + car.load_sensitivity)
-        wheels[i, STIFFNESS] = stiffness / (car.shape * friction * rest)
-        wheels[i, PEAK] = lateral_capacity(max(peak_friction(load, a1, a2), 0.5 * friction), load, force)
-        known[0] += force * cos
-        known[1] += force * sin
-        known[2] += force * wheels[i, ROLL_ARM]
+    # A left turn, ay > 0, loads the right wheels.
+    roll = 0.5 * car.mass * ay * car.cg_height
+    half_f, half_r, share = car.half_track_front, car.half_track_rear, car.roll_share_front
+    front, rear = (0, 1) if car.wheels == 2 else (0, 2)
+    axle = (rest_f, load_f, roll * share, car.stiffness_front, fxf)
+    x_f, y_f, moment_f = set_axle(wheels, front, rear, steer, car.a, half_f, axle, friction, car)
+    axle = (rest_r, load_r, roll * (1.0 - share), car.stiffness_rear, fxr)
+    x_r, y_r, moment_r = set_axle(wheels, rear, car.wheels, steer_rear, -car.b, half_r, axle, friction, car)
+    known[0], known[1], known[2] = x_f + x_r, y_f + y_r, moment_f + moment_r
+    cos_f, sin_f = wheels[0, COS], wheels[0, SIN]
     # (cos, sin, a sin -/+ t/2 cos); printed with -t/2 on the right as well (D'Inverno 2021, eq. 16).
-    rows = contact.speed_rows
     for i in range(2):
         y = car.half_track_front if i == 0 else -car.half_track_front
         rows[i, 0], rows[i, 1], rows[i, 2] = cos_f, sin_f, car.a * sin_f - y * cos_f
+
+
+@njit(cache=True)
+def set_axle(wheels, first, end, angle, x, half_track, axle, friction, car):
+    """Set the wheels first to end of an axle at x [m], one in the middle or a left and a right one.
+
+    `axle` holds the axle's load at rest and now [N], roll moment [N m], stiffness [N/rad] and longitudinal force
+    [N]. Gives X [N], Y [N] and M [N m] of the longitudinal forces.
+    """
+    rest, load, roll, stiffness, force = axle
+    cos, sin = math.cos(angle), math.sin(angle)
+    count = end - first
+    part = 1.0 / count
+    transfer, y = (roll / half_track, half_track) if count == 2 else (0.0, 0.0)
+    factor = stiffness / (car.shape * friction * rest)
+    rest, load, force = rest * part, load * part, force * part
+    a1, a2 = -friction * car.load_sensitivity / rest, friction * (1.0 + car.load_sensitivity)
+    moment = 0.0
+    for i in range(first, end):
+        wheel_load = max(load - transfer, 0.05 * rest)
+        mu = max(peak_friction(wheel_load, a1, a2), 0.5 * friction)
+        wheels[i, COS], wheels[i, SIN] = cos, sin
+        wheels[i, SIDE_ARM], wheels[i, ROLL_ARM] = x * cos + y * sin, x * sin - y * cos
+        wheels[i, STIFFNESS] = factor
+        wheels[i, PEAK] = lateral_capacity(mu, wheel_load, force)
+        moment += force * wheels[i, ROLL_ARM]
+        transfer, y = -transfer, -y
+    return count * force * cos, count * force * sin, moment
 
 
 @njit(cache=True)
@@ -261,8 +271,9 @@ def planar_hessian(u, v, r, contact, car, hessian):
     for i in range(car.wheels):
         cos, sin, arm = wheels[i, COS], wheels[i, SIN], wheels[i, SIDE_ARM]
         slip, by_side, by_roll, side, way = wheel_slip(u, v, r, wheels, i)
-        _, slope = magic_formula(slip, wheels[i, STIFFNESS], car.shape, wheels[i, PEAK], car.curvature)
-        bend = magic_formula_bend(slip, wheels[i, STIFFNESS], car.shape, wheels[i, PEAK], car.curvature)
+        slope, bend = magic_formula_bend(
+            slip, wheels[i, STIFFNESS], car.shape, wheels[i, PEAK], car.curvature
+        )
         # Second derivatives of -atan(side / |roll|).
         rho4 = (side * side + way * way) ** 2
         twice = 2.0 * way * side / rho4

@@ -100,34 +100,34 @@ def test_linear_model_is_the_textbook_one() -> None:
 def test_poles_are_where_they_are_asked_for(vx: float, slip_pole: float) -> None:
     a, _, c, _ = textbook(vx)
     settings = ObserverGains(yaw_pole=2.5, slip_pole=slip_pole)
-    l11, l21, l22 = gains(a[0, 0], a[1, 0], c[1, 0], 0.0, vx, CAR, settings, 1e-4)
+    l11, l21, l22 = gains(a[0, 0], a[1, 0], c[1, 0], 0.0, vx, CAR, settings)
     poles = np.linalg.eigvals(a - np.array([[l11, 0.0], [l21, l22]]) @ c)
-    np.testing.assert_allclose(
-        sorted(poles), sorted([2.5 * a[0, 0], slip_pole * a[1, 1]]), rtol=1e-9, atol=1e-9
-    )
+    wanted = [2.5 * a[0, 0], slip_pole * a[1, 1]]
+    np.testing.assert_allclose(sorted(poles), sorted(wanted), rtol=1e-9, atol=1e-9)
 
 
-def test_luenberger_is_the_textbook_observer() -> None:
-    """A drive at constant speed, by matrices."""
+@pytest.mark.parametrize("slip_pole", [0.2, 0.7])
+def test_luenberger_is_the_textbook_observer(slip_pole: float) -> None:
+    """A drive at constant speed in small steps, by matrices and pole placement."""
     inputs, _ = slalom("luenberger", 400)
-    samples, rng = inputs.samples, np.random.default_rng(1)
+    samples, rng, dt = inputs.samples, np.random.default_rng(1), 1e-4
     samples[:, VX], samples[:, STEER_REAR] = 20.0, 0.0
     samples[:, YAW_RATE] += rng.normal(0.0, 0.01, 400)
     samples[:, AY] += rng.normal(0.0, 0.3, 400)
+    samples = np.repeat(samples, 100, axis=0)
     a, b, c, d = textbook(20.0)
-    place = np.diag([3.0 * a[0, 0], 0.5 * a[1, 1]])
+    place = np.diag([3.0 * a[0, 0], slip_pole * a[1, 1]])
     place[0, 1] = a[0, 1]
     observer = (a - place) @ np.linalg.inv(c)
     state = np.array([samples[0, YAW_RATE], slip_of_rolling_rear(samples[0, STEER], 0.0, CAR.a, CAR.b)])
     expected = [state[1]]
-    assert stable_substeps(20.0, DT, CAR) == 1
     for sample in samples[1:]:
         error = sample[[YAW_RATE, AY]] - c @ state - d * sample[STEER]
-        state = state + DT * (a @ state + b * sample[STEER] + observer @ error)
+        state = state + dt * (a @ state + b * sample[STEER] + observer @ error)
         expected.append(state[1])
-    estimate = OBSERVERS["luenberger"].run(inputs)
-    np.testing.assert_allclose(estimate.beta, expected, rtol=0.0, atol=1e-12)
+    estimate = Luenberger(GOLF, ObserverGains(slip_pole=slip_pole)).run(Inputs(dt, samples))
     assert np.ptp(expected) > np.radians(1.0)
+    np.testing.assert_allclose(estimate.beta, expected, rtol=0.0, atol=0.002 * np.ptp(expected))
 
 
 @each_observer
@@ -147,7 +147,7 @@ def test_a_wrong_start_is_forgotten_at_the_pole(name: str) -> None:
     started.state.mean[1] += 0.02
     errors = [estimator.step(started, s)[0] - b for s, b in zip(inputs.samples[1:], beta[1:], strict=True)]
     error = np.abs(errors)
-    # At 18 to 24 m/s half of the car's slip damping is 3 to 6 per second on linear tyres; less where they bend.
+    # At 18 to 24 m/s half of the car's slip damping is 3 to 6 per second on linear tyres, less on bent ones.
     assert error[0] > 0.015
     assert error[100] < 0.005
     assert error[400] < 1e-4
@@ -163,6 +163,7 @@ def test_every_rate_is_stable(name: str, dt: float) -> None:
     for vx in (1.0, 0.2):  # the same drive at a fifth of the speed, down to just above the gate
         slower = samples.copy()
         slower[:, [VX, YAW_RATE]] *= vx
+        slower[:, AY] *= vx * vx
         estimate = OBSERVERS[name].run(Inputs(dt, slower))
         assert np.abs(estimate.beta).max() < np.radians(12.0)
         if vx == 1.0:
@@ -198,7 +199,7 @@ def test_stated_error_grows_with_the_innovation_and_where_inputs_are_missing(nam
     calm = estimator.run(inputs)
     settled = calm.beta_std[600:]
     share = np.abs(calm.beta[600:]) * estimator.noise.share
-    np.testing.assert_allclose(settled, np.hypot(estimator.noise.floor, share), rtol=0.1)
+    np.testing.assert_allclose(settled, np.hypot(estimator.noise.floor, share), rtol=0.15)
     assert np.isnan(calm.nis).all()
     for change in ({AY: 2.0}, {AY: np.nan}, {STEER_HELD: 1.0}):
         samples = inputs.samples.copy()

@@ -444,7 +444,7 @@ def consistency(estimator: PlanarFilter, first: int = 1) -> tuple[np.ndarray, fl
     return chi2.cdf(nees, RUNS), float(chi2.cdf(nis, 5 * RUNS * (STEPS - first)))
 
 
-CONSISTENT = [n for n in FILTERS if not n.startswith("cubature") and n != "general_ukf"]
+CONSISTENT = [name for name in FILTERS if not name.startswith("cubature")]
 
 
 @pytest.mark.parametrize("name", CONSISTENT)

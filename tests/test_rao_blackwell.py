@@ -173,7 +173,7 @@ def test_sharing_the_covariance_costs_next_to_nothing() -> None:
     assert first > 50
     estimate = estimator.run(inputs)
     difference = np.degrees([estimate.beta - exact[:, 0], estimate.beta_std - exact[:, 1]])[:, 1:first]
-    assert 0.0 < np.abs(difference).max() < 0.03
+    assert 0.0 < np.abs(difference).max() < 0.1, "next to a spread of 5 deg"
 
 
 # The posterior.
@@ -291,7 +291,7 @@ def matched_drive(rng: np.random.Generator, steps: int) -> tuple[np.ndarray, np.
 
 def test_errors_are_as_large_as_the_filter_says() -> None:
     """Its own step would take the EKF's beta as measurement; here it is one that has the error it expects."""
-    rng, drives, steps = np.random.default_rng(12), 120, 49
+    rng, drives, steps = np.random.default_rng(12), 80, 49
     estimator = RaoBlackwellPF(GOLF, particles=500)
     nees, nees_beta, nis = np.zeros((drives, 4)), np.zeros((drives, 4)), 0.0
     for drive in range(drives):
@@ -311,7 +311,6 @@ def test_errors_are_as_large_as_the_filter_says() -> None:
                 nees_beta[drive, k // 12 - 1] = error[1] ** 2 / cov[1, 1]
             if effective < 0.5 * estimator.particles:
                 resample(state)
-    print(nees.mean(axis=0), nees_beta.mean(axis=0), nis / drives / (steps - 1) / 3)
     for values, degrees in ((nees, 6), (nees_beta, 1)):
         low, high = chi2.interval(0.999, degrees * drives)
         assert np.all((low < values.sum(axis=0)) & (values.sum(axis=0) < high))
@@ -335,6 +334,7 @@ def test_steps_give_the_bits_of_a_run_and_the_answer_is_finite(particles: int, r
     assert np.isfinite(estimate.beta).all()
     assert np.isfinite(estimate.beta_std).all()
     assert np.all(np.abs(estimate.beta) <= MAX_BETA)
+    assert np.all(estimate.beta_std > 0.0)
     slow = ~(inputs.samples[:, VX] > MIN_SPEED)
     car = estimator.car
     rolling = [slip_of_rolling_rear(*s[[STEER, STEER_REAR]], car.a, car.b) for s in inputs.samples[slow]]
@@ -365,7 +365,7 @@ def test_a_missing_or_wild_measurement_is_as_none() -> None:
 
 
 def test_forces_stay_bounded_without_measurements() -> None:
-    samples = slalom(6000).samples
+    samples = slalom(3000).samples
     samples[100:, [AX, AY, YAW_RATE]] = np.nan
     estimator = RaoBlackwellPF(GOLF, particles=50)
     started = estimator.start(DT)

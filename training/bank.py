@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from joblib import Parallel, delayed
@@ -40,6 +40,10 @@ class BankRun:
     def joined(self, part: Callable[[FilterRun], np.ndarray]) -> np.ndarray:
         """Join what `part` gives of each segment over all segments."""
         return np.concatenate([part(run) for run in self.runs])
+
+    def only(self, members: Sequence[int]) -> BankRun:
+        """Keep some of the filters, in the order given."""
+        return replace(self, runs=[run.only(members) for run in self.runs])
 
     def oracle(self, length: int) -> np.ndarray:
         """Estimate of the oracle ``(n,) [rad]``; see `crosscomb.training.labels.oracle_beta`."""

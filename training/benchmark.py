@@ -4,20 +4,21 @@ from __future__ import annotations
 
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 
-from crosscomb.artefact import Artefact
+from crosscomb.artefact import Artefact, FilterSettings
 from crosscomb.errors import UsageError
 from crosscomb.estimate import make_filters
 from crosscomb.filters.base import make_inputs
 from crosscomb.models.vehicle import load_vehicle
 from crosscomb.resample import resample
 from crosscomb.training.bank import run_bank
-from crosscomb.training.evaluate import Evaluation, evaluate
+from crosscomb.training.evaluate import Evaluation, evaluate, score_filters
 from crosscomb.training.recordings import Recording, read_recordings
 from crosscomb.training.simulate import simulate_data_set, simulate_log
 
@@ -60,7 +61,11 @@ class Benchmark:
 
 
 def benchmark_real(
-    folder: Path, artefact: Artefact, jobs: int = 1, progress: Callable[[], None] | None = None
+    folder: Path,
+    artefact: Artefact,
+    jobs: int = 1,
+    progress: Callable[[], None] | None = None,
+    filters: Sequence[FilterSettings] = (),
 ) -> Benchmark:
     """Score all estimators on every recording with ground truth in a folder of real logs.
 
@@ -74,7 +79,7 @@ def benchmark_real(
     recordings, notes = read_recordings(folder, progress=progress)
     if not recordings:
         raise UsageError(f"{folder}: no recording has ground truth and a vehicle.toml: nothing can be scored")
-    evaluation = _evaluate(recordings, artefact, jobs, progress)
+    evaluation = _evaluate(recordings, artefact, jobs, progress, filters)
     names = [recording.name for recording in recordings]
     shared = [name for name in SHARED_SET if name in names]
     if len(shared) == len(SHARED_SET):
@@ -86,7 +91,10 @@ def benchmark_real(
 
 
 def benchmark_simulated(
-    artefact: Artefact, jobs: int = 1, progress: Callable[[], None] | None = None
+    artefact: Artefact,
+    jobs: int = 1,
+    progress: Callable[[], None] | None = None,
+    filters: Sequence[FilterSettings] = (),
 ) -> Benchmark:
     """Score all estimators on freshly simulated logs of the generic compact car."""
     with tempfile.TemporaryDirectory() as folder:
@@ -94,26 +102,39 @@ def benchmark_simulated(
             load_vehicle("generic_compact"), Path(folder), SIMULATED_SEED, SIMULATED_LOGS, jobs=jobs
         )
         recordings, notes = read_recordings(Path(folder))
-    evaluation = _evaluate(recordings, artefact, jobs, progress)
+    evaluation = _evaluate(recordings, artefact, jobs, progress, filters)
     return Benchmark(evaluation, {f"all ({len(recordings)})": [r.name for r in recordings]}, notes)
 
 
 def _evaluate(
-    recordings: list[Recording], artefact: Artefact, jobs: int, progress: Callable[[], None] | None
+    recordings: list[Recording],
+    artefact: Artefact,
+    jobs: int,
+    progress: Callable[[], None] | None,
+    filters: Sequence[FilterSettings],
 ) -> Evaluation:
-    return evaluate(
-        run_bank(recordings, artefact.filters, artefact.rate, artefact.window, jobs, progress), artefact
-    )
+    """Score the artefact, and beside it filters that are not in it."""
+    entries = [*artefact.filters, *filters]
+    banks = run_bank(recordings, entries, artefact.rate, artefact.window, jobs, progress)
+    members = range(len(artefact.filters))
+    evaluation = evaluate([bank.only(members) for bank in banks], artefact)
+    if not filters:
+        return evaluation
+    beside = score_filters(banks, [entry.name for entry in entries]).iloc[:, 2 * len(artefact.filters) :]
+    return Evaluation(pd.concat([evaluation.table, beside], axis=1), evaluation.confusion)
 
 
-def filter_speeds(artefact: Artefact, repeats: int = 3) -> dict[str, float]:
+def filter_speeds(
+    artefact: Artefact, filters: Sequence[FilterSettings] = (), repeats: int = 3
+) -> dict[str, float]:
     """Time of each filter per sample [us], the best of some runs over a simulated minute."""
     vehicle = load_vehicle("generic_compact")
     signals = simulate_log(vehicle, "slalom", seed=1, duration=60.0)
     segment = resample(signals, artefact.rate)[0]
     inputs = make_inputs(segment.signals, vehicle, 1.0 / artefact.rate)
     speeds = {}
-    for entry, estimator in zip(artefact.filters, make_filters(artefact, vehicle), strict=True):
+    entries = [*artefact.filters, *filters]
+    for entry, estimator in zip(entries, make_filters(entries, vehicle), strict=True):
         estimator.run(inputs)
         times = []
         for _ in range(repeats):

@@ -75,6 +75,17 @@ def evaluate(banks: Sequence[BankRun], artefact: Artefact) -> Evaluation:
     return Evaluation(table, confusion)
 
 
+def score_filters(banks: Sequence[BankRun], names: Sequence[str]) -> pd.DataFrame:
+    """RMSE and largest error [deg] of each filter on each recording, in columns as `Evaluation.table`."""
+    rows = []
+    for bank in banks:
+        each = bank.joined(lambda run: run.beta)
+        scores = [score(each[:, i], bank.beta_ref, bank.counted) for i in range(len(names))]
+        rows.append([np.degrees(value) for s in scores for value in (s.rmse, s.max_error)])
+    columns = pd.MultiIndex.from_product([list(names), ["rmse", "max"]])
+    return pd.DataFrame(rows, index=[bank.recording.name for bank in banks], columns=columns)
+
+
 def evaluate_one(bank: BankRun, artefact: Artefact) -> dict[tuple[str, str], float]:
     """Scores of one recording [deg]."""
     chosen = [select(run, artefact) for run in bank.runs]

@@ -12,7 +12,7 @@ import pandas as pd
 from crosscomb.artefact import Artefact, FilterSettings
 from crosscomb.errors import UsageError
 from crosscomb.files import file_hash, versions
-from crosscomb.filters.catalogue import DEFAULT_FILTERS, make_filter, settings_of
+from crosscomb.filters.catalogue import CATALOGUE, DEFAULT_FILTERS, make_filter, settings_of
 from crosscomb.models.vehicle import Vehicle
 from crosscomb.switch import SwitchSettings
 from crosscomb.training.bank import BankRun, run_bank
@@ -67,6 +67,7 @@ def train(
     rate: float = RATE,
     jobs: int = 1,
     progress: Callable[[], None] | None = None,
+    filters: Sequence[str] = DEFAULT_FILTERS,
 ) -> Training:
     """Train a selector on recordings with ground truth.
 
@@ -85,6 +86,8 @@ def train(
         Processes for the filters.
     progress : callable, optional
         Called `steps` times in all.
+    filters : sequence of str
+        Names of the estimators to select from; at least two.
 
     Raises
     ------
@@ -92,11 +95,11 @@ def train(
         One filter is the best in every window, or a recording has no window that can be judged.
     """
     kind = SELECTORS[selector]
-    filters = default_filters(recordings[0].vehicle)
-    banks = run_bank(recordings, filters, rate, kind.window, jobs, progress)
+    entries = default_filters(recordings[0].vehicle, filters)
+    banks = run_bank(recordings, entries, rate, kind.window, jobs, progress)
     windows = [bank.windows(kind.window) for bank in banks]
-    _require_choice(recordings, windows, filters)
-    base = _Base(kind, selector, rate, filters, common_vehicle(list(recordings)), seed)
+    _require_choice(recordings, windows, entries)
+    base = _Base(kind, selector, rate, entries, common_vehicle(list(recordings)), seed)
 
     parts = split_recordings(len(banks), seed)
     pairs = grouped_folds(parts.training, folds, seed)
@@ -145,12 +148,26 @@ def _require_choice(
         )
 
 
-def default_filters(vehicle: Vehicle) -> list[FilterSettings]:
-    """The paper's three filters with all their settings written out."""
-    return [
-        FilterSettings(name=name, settings=settings_of(make_filter(name, vehicle)))
-        for name in DEFAULT_FILTERS
-    ]
+def default_filters(vehicle: Vehicle, names: Sequence[str] = DEFAULT_FILTERS) -> list[FilterSettings]:
+    """Filters with all their settings written out; by default the paper's three."""
+    return [FilterSettings(name=name, settings=settings_of(make_filter(name, vehicle))) for name in names]
+
+
+def require_filters(names: Sequence[str]) -> None:
+    """Refuse a bank of filters that cannot be selected from.
+
+    Raises
+    ------
+    UsageError
+        A name is unknown or stands twice, or there is only one.
+    """
+    for name in names:
+        if name not in CATALOGUE:
+            raise UsageError(f"--filters {name}: not in the catalogue: `crosscomb filters` lists it")
+        if list(names).count(name) > 1:
+            raise UsageError(f"--filters {name}: named twice: name it once")
+    if len(names) < 2:
+        raise UsageError(f"--filters {', '.join(names)}: there is nothing to select from: name at least two")
 
 
 @dataclass(frozen=True)
@@ -173,7 +190,7 @@ class _Base:
             rate=self.rate,
             window=self.kind.window,
             filters=self.filters,
-            fallback=FALLBACK,
+            fallback=FALLBACK if FALLBACK in [entry.name for entry in self.filters] else self.filters[0].name,
             switch=SwitchSettings(),
             tree=to_tree(fitted, chosen, len(self.filters)),
             vehicle=self.vehicle,

@@ -1,0 +1,417 @@
+"""Combinations: filterpy's multiple models, honest mixtures, and members that are the filters themselves."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from filterpy.kalman import IMMEstimator, MMAEFilterBank
+from scipy.stats import chi2
+
+from crosscomb.filters.base import (
+    AX,
+    AY,
+    FXF,
+    FXR,
+    MAX_BETA,
+    SAMPLE_WIDTH,
+    STEER,
+    VX,
+    YAW_RATE,
+    Estimate,
+    Inputs,
+    KernelFilter,
+    gaussian,
+    make_inputs,
+)
+from crosscomb.filters.blends import CovarianceFusion, FuzzyBlend
+from crosscomb.filters.catalogue import make_filter
+from crosscomb.filters.cross_combined import CrossCombinedUKF, CrossNoise, kinematic_share
+from crosscomb.filters.dynamic_ekf import DynamicEKF, DynamicNoise
+from crosscomb.filters.kinematic_kf import KinematicKF
+from crosscomb.filters.model_bank import ModelNoise, model_shares, slip_predict
+from crosscomb.filters.multiple_model import IMM, MMAE
+from crosscomb.filters.sigma_point import SimpleUKF
+from crosscomb.models.single_track import single_track_rates, stable_substeps
+from crosscomb.models.vehicle import load_vehicle
+from crosscomb.prepare import complete
+from crosscomb.training.simulate import simulate_log
+
+DT = 0.01
+GOLF = load_vehicle("golf_gti_2018")
+
+
+def simulated(manoeuvre: str, surface: str = "dry", duration: float = 15.0) -> tuple[Inputs, np.ndarray]:
+    log = simulate_log(GOLF, manoeuvre, 7, surface=surface, duration=duration)
+    return make_inputs(complete(log, GOLF), GOLF, DT), np.arctan2(log.column("vy_ref"), log.column("vx_ref"))
+
+
+def rmse(estimate: Estimate, beta: np.ndarray) -> float:
+    return float(np.degrees(np.sqrt(np.mean((estimate.beta - beta)[100:] ** 2))))
+
+
+# Multiple models against filterpy.
+
+
+class PlainModel:
+    """One filter of the bank in plain numpy, as filterpy's estimators want it."""
+
+    def __init__(self, car, noise: ModelNoise, sample: np.ndarray, beta: float, beta_std: float) -> None:
+        self.car, self.noise = car, noise
+        self.x = np.array([sample[YAW_RATE], beta])
+        self.P = np.diag([noise.dynamic.yaw_rate**2, beta_std**2])
+        self.z, self.likelihood, self.nis = np.zeros(2), 1.0, 0.0
+
+    def model(self, sample: np.ndarray) -> tuple[np.ndarray, float, np.ndarray]:
+        given = (*sample[[VX, STEER]], 0.0, *sample[[FXF, FXR, AX, AY]])
+        rates, (_, ay), jacobian = single_track_rates(*self.x, *given, self.car)
+        return np.array(rates), ay, np.array(jacobian).reshape(2, 4).T
+
+    def predict(self, sample: np.ndarray) -> None:
+        noise, vx = self.noise, sample[VX]
+        if self.car is None:
+            cos, sin = np.cos(self.x[1]), np.sin(self.x[1])
+            rate = (sample[AY] * cos - sample[AX] * sin) * cos / vx - self.x[0]
+            slope = -(2.0 * sample[AY] * sin * cos + sample[AX] * (cos**2 - sin**2)) / vx
+            f = np.array([[1.0, 0.0], [-DT, 1.0 + DT * (slope - noise.relaxation)]])
+            self.x = self.x + [0.0, DT * (rate - noise.relaxation * self.x[1])]
+            q = np.array([noise.yaw_acceleration, noise.accel / vx]) ** 2
+            self.P = f @ self.P @ f.T + DT * np.diag(q)
+            return
+        steps = stable_substeps(vx, DT, self.car)
+        h = DT / steps
+        for _ in range(steps):
+            rates, _, jacobian = self.model(sample)
+            f = np.eye(2) + h * jacobian[:2]
+            self.x = self.x + h * rates
+            q = np.array([noise.dynamic.yaw_acceleration, noise.dynamic.slip_rate]) ** 2
+            self.P = f @ self.P @ f.T + h * np.diag(q)
+
+    def update(self, sample: np.ndarray, r: object = None, h: object = None) -> None:
+        noise = self.noise
+        if self.car is None:
+            rows, innovation = np.array([[1.0, 0.0]]), sample[[YAW_RATE]] - self.x[:1]
+            r_matrix = np.array([[noise.dynamic.yaw_rate**2]])
+            ay = math.exp(-0.5) / (noise.surprise * math.sqrt(2.0 * math.pi))
+        else:
+            _, expected, jacobian = self.model(sample)
+            rows, innovation = (
+                np.array([[1.0, 0.0], jacobian[3]]),
+                sample[[YAW_RATE, AY]] - np.array([self.x[0], expected]),
+            )
+            r_matrix, ay = np.diag([noise.dynamic.yaw_rate, noise.dynamic.ay]) ** 2, 1.0
+        s = rows @ self.P @ rows.T + r_matrix
+        gain = self.P @ rows.T @ np.linalg.inv(s)
+        self.nis = float(innovation @ np.linalg.solve(s, innovation))
+        self.likelihood = ay * math.exp(-0.5 * self.nis) / math.sqrt(np.linalg.det(2.0 * np.pi * s))
+        self.x = self.x + gain @ innovation
+        self.P = (np.eye(2) - gain @ rows) @ self.P
+
+
+PLAIN = ModelNoise(correlation=0.0, floor=0.0)
+
+
+def plain_models(estimator: KernelFilter, sample: np.ndarray) -> list[PlainModel]:
+    cars = (estimator.car.high, estimator.car.low, None)
+    answer = np.empty(6)
+    started = estimator.start(DT)
+    answer[:3] = estimator.step(started, sample)
+    return [PlainModel(car, estimator.noise, sample, *answer[:2]) for car in cars]
+
+
+@pytest.mark.parametrize("manoeuvre", ["slalom", "drift"])
+def test_imm_agrees_with_filterpy(manoeuvre: str) -> None:
+    inputs, _ = simulated(manoeuvre, duration=6.0)
+    estimator = IMM(GOLF, PLAIN)
+    samples = inputs.samples
+    assert samples[:, VX].min() > 3.5
+    shares, stay = np.array(model_shares(PLAIN)), math.exp(-DT / PLAIN.stay)
+    models = plain_models(estimator, samples[0])
+    imm = IMMEstimator(models, shares, stay * np.eye(3) + (1.0 - stay) * np.outer(np.ones(3), shares))
+    expected = np.empty((len(samples) - 1, 6))
+    for sample, row in zip(samples[1:], expected, strict=True):
+        imm.predict(sample)
+        imm.update(sample)
+        row[:] = imm.x[1], math.sqrt(imm.P[1, 1]), imm.mu @ [m.nis for m in models], *imm.mu
+    estimate = estimator.run(inputs)
+    got = np.column_stack([estimate.beta, estimate.beta_std, estimate.nis, *estimate.extra.values()])[1:]
+    np.testing.assert_allclose(got, expected, rtol=1e-7, atol=1e-8)
+    assert np.ptp(got[:, 3:], axis=0).min() > 0.05, "probabilities that stay where they are prove nothing"
+
+
+def test_mmae_agrees_with_filterpy() -> None:
+    inputs, _ = simulated("slalom", duration=6.0)
+    estimator = MMAE(GOLF, PLAIN)
+    models = plain_models(estimator, inputs.samples[0])
+    bank = MMAEFilterBank(models, np.array(model_shares(PLAIN)), dim_x=2)
+    expected = np.empty((len(inputs.samples) - 1, 5))
+    for sample, row in zip(inputs.samples[1:], expected, strict=True):
+        bank.predict(sample)
+        bank.update(sample)
+        # filterpy 2.0's own covariance of the bank pairs states with filters; the formula is this one.
+        spread = [p * (m.P[1, 1] + (m.x[1] - bank.x[1]) ** 2) for p, m in zip(bank.p, models, strict=True)]
+        row[:] = bank.x[1], math.sqrt(sum(spread)), *bank.p
+    estimate = estimator.run(inputs)
+    got = np.column_stack([estimate.beta, estimate.beta_std, *estimate.extra.values()])[1:]
+    np.testing.assert_allclose(got, expected, rtol=1e-7, atol=1e-8)
+
+
+@pytest.mark.parametrize("cls", [IMM, MMAE])
+def test_low_friction_is_seen_in_a_hard_slalom(cls: type[KernelFilter]) -> None:
+    noise = ModelNoise(dynamic=DynamicNoise(0.1, 0.01, 0.005, 0.2))
+    estimator, chances = cls(GOLF, noise), []
+    for car in (estimator.car.high, estimator.car.low):
+        rng, steps = np.random.default_rng(1), 600
+        samples = np.full((steps, SAMPLE_WIDTH), np.nan)
+        samples[:, 1:10] = 0.0
+        samples[:, VX], samples[:, STEER] = 15.0, 0.06 * np.sin(2.0 * DT * np.arange(steps))
+        state = np.zeros(2)
+        for sample in samples:
+            rates, (_, ay), _ = single_track_rates(*state, 15.0, sample[STEER], 0.0, 0.0, 0.0, 0.0, 0.0, car)
+            state = state + DT * np.array(rates)
+            sample[[YAW_RATE, AY]] = rng.normal([state[0], ay], [0.005, 0.2])
+        estimate = estimator.run(Inputs(DT, samples))
+        chances.append(estimate.extra["probability_low_friction [-]"][300:].mean())
+        np.testing.assert_allclose(np.sum([*estimate.extra.values()], axis=0), 1.0, rtol=1e-12)
+    # On high friction both models hold, as the low one is raised to what the car plainly uses.
+    assert chances[1] > 0.85
+    assert chances[1] > chances[0] + 0.1
+
+
+def test_one_model_alone_is_its_filter() -> None:
+    """With all the say to the dynamic model IMM and MMAE are the dynamic EKF."""
+    inputs, _ = simulated("slalom", duration=6.0)
+    alone = ModelNoise(low_share=0.0, kinematic_share=0.0, floor=0.0)
+    for estimator in (IMM(GOLF, alone), MMAE(GOLF, alone)):
+        estimate, ekf = estimator.run(inputs), DynamicEKF(GOLF).run(inputs)
+        np.testing.assert_allclose(estimate.beta, ekf.beta, rtol=0.0, atol=1e-12)
+        np.testing.assert_allclose(estimate.beta_std, ekf.beta_std, rtol=0.0, atol=1e-12)
+        np.testing.assert_allclose(estimate.nis, ekf.nis, rtol=1e-9)
+
+
+def test_kinematic_model_of_the_bank_follows_the_kinematic_equation() -> None:
+    state, sample = gaussian(), np.zeros(SAMPLE_WIDTH)
+    sample[[VX, AX, AY]] = 20.0, -2.0, 6.0
+    state.mean[:] = 0.3, -0.1
+    slip_predict(state, sample, ModelNoise(relaxation=0.0), 1e-4)
+    vy = 20.0 * math.tan(-0.1)
+    vx_dot, vy_dot = -2.0 + 0.3 * vy, 6.0 - 0.3 * 20.0
+    beta_dot = (20.0 * vy_dot - vy * vx_dot) / (20.0**2 + vy**2)
+    assert (state.mean[1] + 0.1) / 1e-4 == pytest.approx(beta_dot, rel=1e-6)
+
+
+# Monte Carlo: on drives of the IMM's own jumping models its error is as large as it says.
+
+
+def jumping_drive(estimator: IMM, rng: np.random.Generator, steps: int) -> tuple[np.ndarray, np.ndarray]:
+    noise, cars = estimator.noise.dynamic, (estimator.car.high, estimator.car.low)
+    shares, stay = np.array(model_shares(estimator.noise)[:2]), math.exp(-DT / estimator.noise.stay)
+    samples, truth = np.full((steps, SAMPLE_WIDTH), np.nan), np.zeros((steps, 2))
+    samples[:, 1:10] = 0.0
+    samples[:, VX], samples[:, STEER] = 20.0, 0.04 * np.sin(4.0 * DT * np.arange(steps))
+    samples[0, YAW_RATE] = 0.0
+    truth[0] = rng.normal(0.0, [noise.yaw_rate, math.radians(2.0)])
+    mode = rng.choice(2, p=shares / shares.sum())
+    for k in range(1, steps):
+        if rng.random() > stay:
+            mode = rng.choice(2, p=shares / shares.sum())
+        given = (20.0, samples[k, STEER], 0.0, 0.0, 0.0, 0.0, 0.0)
+        rates, _, _ = single_track_rates(*truth[k - 1], *given, cars[mode])
+        shaken = rng.normal(0.0, np.sqrt(DT) * np.array([noise.yaw_acceleration, noise.slip_rate]))
+        truth[k] = truth[k - 1] + DT * np.array(rates) + shaken
+        _, (_, ay), _ = single_track_rates(*truth[k], *given, cars[mode])
+        samples[k, [YAW_RATE, AY]] = rng.normal([truth[k, 0], ay], [noise.yaw_rate, noise.ay])
+    return samples, truth
+
+
+def test_imm_errors_are_as_large_as_it_says() -> None:
+    noise = ModelNoise(
+        correlation=0.0,
+        kinematic_share=0.0,
+        low_share=0.3,
+        stay=2.0,
+        dynamic=DynamicNoise(0.3, 0.05, 0.01, 1.0),
+    )
+    # The friction margin sees the measured ay, the drive does not: low friction is above it all the same.
+    estimator, rng, runs, steps = IMM(GOLF, noise, low_friction=0.6), np.random.default_rng(8), 150, 150
+    nees = 0.0
+    for _ in range(runs):
+        samples, truth = jumping_drive(estimator, rng, steps)
+        estimate = estimator.run(Inputs(DT, samples))
+        nees += ((estimate.beta - truth[:, 1]) / estimate.beta_std)[-1] ** 2
+    low, high = chi2.interval(0.999, runs)
+    assert low < nees < high
+
+
+# Blends.
+
+
+def members(inputs: Inputs, estimator: KernelFilter) -> tuple[Estimate, Estimate]:
+    noise = estimator.noise
+    return KinematicKF(GOLF, noise.kinematic).run(inputs), DynamicEKF(GOLF, noise.dynamic).run(inputs)
+
+
+def test_fuzzy_blend_mixes_its_members_by_its_index() -> None:
+    inputs, _ = simulated("step_steer")
+    estimate = FuzzyBlend(GOLF).run(inputs)
+    kinematic, dynamic = members(inputs, FuzzyBlend(GOLF))
+    (index,) = estimate.extra.values()
+    mixture = index * dynamic.beta + (1.0 - index) * kinematic.beta
+    second = index * (dynamic.beta_std**2 + dynamic.beta**2)
+    second += (1.0 - index) * (kinematic.beta_std**2 + kinematic.beta**2)
+    np.testing.assert_allclose(estimate.beta, mixture, rtol=0.0, atol=1e-12)
+    np.testing.assert_allclose(estimate.beta_std, np.sqrt(second - mixture**2), rtol=0.0, atol=1e-9)
+    assert index.min() < 0.7
+    assert index.max() == 1.0
+
+
+def test_steady_state_index_tells_steady_from_transient_and_counts_the_yaw_rate_most() -> None:
+    n = 600
+    steady = np.zeros((n, SAMPLE_WIDTH))
+    steady[:, [VX, AY, YAW_RATE, STEER]] = 20.0, 4.0, 0.2, 0.03
+    (index,) = FuzzyBlend(GOLF).run(Inputs(DT, steady)).extra.values()
+    np.testing.assert_array_equal(index, 1.0)
+    lowest = {}
+    for column, step in ((AY, 6.0), (YAW_RATE, 0.4), (STEER, 0.1)):
+        samples = steady.copy()
+        samples[300:, column] += step
+        (index,) = FuzzyBlend(GOLF).run(Inputs(DT, samples)).extra.values()
+        np.testing.assert_array_equal(index[:300], 1.0)
+        assert index[-1] == 1.0, "a new steady state"
+        lowest[column] = index.min()
+    assert lowest[AY] == lowest[STEER] == pytest.approx(0.75)
+    assert lowest[YAW_RATE] == pytest.approx(0.5)
+
+
+def test_fusion_weighs_by_variance_and_is_never_surer_than_its_surest_member() -> None:
+    inputs, _ = simulated("slalom")
+    estimate = CovarianceFusion(GOLF).run(inputs)
+    kinematic, dynamic = members(inputs, CovarianceFusion(GOLF))
+    weights = 1.0 / np.array([kinematic.beta_std**2, dynamic.beta_std**2])
+    expected = (weights[0] * kinematic.beta + weights[1] * dynamic.beta) / weights.sum(axis=0)
+    np.testing.assert_allclose(estimate.beta, expected, rtol=0.0, atol=1e-12)
+    surest = np.minimum(kinematic.beta_std, dynamic.beta_std)
+    assert np.all(estimate.beta_std >= surest * (1.0 - 1e-12))
+
+
+def test_fusion_of_like_members_says_what_they_say() -> None:
+    """Two members of one variance that agree are no surer together: their errors may be the same."""
+    inputs, _ = simulated("slalom")
+    estimate = CovarianceFusion(GOLF).run(inputs)
+    assert estimate.beta_std[0] == KinematicKF(GOLF).run(inputs).beta_std[0]
+
+
+def test_cross_combination_hands_over_by_speed_and_yaw_rate() -> None:
+    noise = CrossNoise()
+
+    def share(vx: float, yaw_rate: float) -> float:
+        sample = np.zeros(SAMPLE_WIDTH)
+        sample[[VX, YAW_RATE]] = vx, yaw_rate
+        return float(kinematic_share(sample, noise))
+
+    assert share(20.0, 0.0) < 0.02
+    assert share(3.5, 0.5) < 0.1
+    assert share(20.0, -0.5) == share(20.0, 0.5) > 0.99
+    assert share(20.0, np.nan) == 0.0
+
+
+def test_cross_combination_is_its_members_where_one_has_all_the_say() -> None:
+    inputs, _ = simulated("circuit")
+    never = CrossCombinedUKF(GOLF, CrossNoise(turning=1e3)).run(inputs)
+    np.testing.assert_allclose(never.beta, SimpleUKF(GOLF).run(inputs).beta, rtol=0.0, atol=1e-12)
+    always = CrossCombinedUKF(GOLF, CrossNoise(turning=-1e3, moving=-1e3, support=1e6)).run(inputs)
+    kinematic = KinematicKF(GOLF, CrossNoise().kinematic).run(inputs)
+    np.testing.assert_allclose(always.beta, kinematic.beta, rtol=0.0, atol=1e-9)
+
+
+def test_cross_combination_does_not_drift_as_the_kinematic_filter_does() -> None:
+    inputs, beta = simulated("circuit", duration=20.0)
+    cross, kinematic = CrossCombinedUKF(GOLF).run(inputs), KinematicKF(GOLF).run(inputs)
+    assert rmse(kinematic, beta) > 1.0
+    assert rmse(cross, beta) < 0.7 * rmse(kinematic, beta)
+
+
+# What holds for every filter of these families.
+
+NAMES = (
+    "kinematic_kf_zero_yaw", "kinematic_blend_kf", "luenberger", "extended_luenberger", "sliding_mode",
+    "gnss_kinematic_kf", "gnss_dynamic_observer", "fuzzy_blend", "cross_combined_ukf", "covariance_fusion", "imm",
+    "mmae", "network", "network_feedback",
+)  # fmt: skip
+each_filter = pytest.mark.parametrize("name", NAMES)
+
+
+def rough(steps: int = 900) -> Inputs:
+    """A slalom at the limit with gaps in every channel, stops, and fixes that come and go."""
+    rng, t = np.random.default_rng(4), DT * np.arange(steps)
+    samples = np.full((steps, SAMPLE_WIDTH), np.nan)
+    samples[:, :10] = 0.0
+    samples[:, VX] = 18.0 + 6.0 * np.sin(0.3 * t) + rng.normal(0.0, 0.05, steps)
+    samples[:, STEER] = 0.08 * np.sin(2.0 * t)
+    samples[:, YAW_RATE] = 0.4 * np.sin(2.0 * t - 0.2) + rng.normal(0.0, 0.01, steps)
+    samples[:, AY] = 8.0 * np.sin(2.0 * t - 0.2) + rng.normal(0.0, 0.4, steps)
+    samples[:, AX] = rng.normal(0.0, 0.3, steps)
+    samples[::20, 14] = samples[::20, VX]
+    samples[::20, 15:] = rng.uniform(-3.1, 3.1, (len(samples[::20]), 2))
+    for column, held in ((AX, None), (AY, None), (YAW_RATE, None), (VX, 8), (STEER, 9)):
+        for start in rng.integers(1, steps - 60, 4):
+            stop = start + rng.integers(1, 60)
+            samples[start:stop, column] = np.nan if held is None else samples[start - 1, column]
+            if held is not None:
+                samples[start:stop, held] = 1.0
+    samples[400:440, VX] = 0.0
+    samples[440:460, VX] = -2.0
+    samples[800:860, VX] = 3.0 + 0.2 * np.sin(np.arange(60))
+    return Inputs(DT, samples)
+
+
+@each_filter
+def test_steps_give_the_same_bits_as_a_run_and_everything_is_finite(name: str) -> None:
+    estimator, inputs = make_filter(name, GOLF), rough()
+    before = inputs.samples.copy()
+    run, started = estimator.run(inputs), estimator.start(DT)
+    steps = np.array([estimator.step(started, sample) for sample in inputs.samples])
+    np.testing.assert_array_equal(steps.T, [run.beta, run.beta_std, run.nis])
+    np.testing.assert_array_equal(inputs.samples, before)
+    assert np.abs(run.beta).max() <= MAX_BETA
+    assert np.all(run.beta_std > 0.0)
+    assert run.beta_std.max() < np.radians(180.0)
+    assert all(np.isfinite(part).all() for part in run.extra.values())
+
+
+@each_filter
+def test_below_the_gate_the_car_rolls(name: str) -> None:
+    inputs = rough()
+    slow = ~(inputs.samples[:, VX] > 3.0)
+    rest = slow | np.roll(slow, 1)
+    rolling = KinematicKF(GOLF).run(inputs)
+    estimate = make_filter(name, GOLF).run(inputs)
+    np.testing.assert_array_equal(estimate.beta[rest], rolling.beta[rest])
+    np.testing.assert_array_equal(estimate.beta_std[rest], rolling.beta_std[rest])
+    assert np.isnan(estimate.nis[rest]).all()
+
+
+@pytest.mark.parametrize("name", [name for name in NAMES if not name.startswith("network")])
+def test_a_mirrored_drive_gives_the_mirrored_answer(name: str) -> None:
+    inputs = rough()
+    mirrored = inputs.samples.copy()
+    mirrored[:, [AY, YAW_RATE, STEER, 5, 15, 16]] *= -1.0
+    estimate = make_filter(name, GOLF).run(inputs)
+    other = make_filter(name, GOLF).run(replace(inputs, samples=mirrored))
+    tolerance = 1e-6 if name == "cross_combined_ukf" else 1e-9
+    np.testing.assert_allclose(other.beta, -estimate.beta, rtol=0.0, atol=tolerance)
+
+
+UNBOUNDED = ("fuzzy_blend", "cross_combined_ukf", "covariance_fusion")
+"""The kinematic filter in them has no bound but pi."""
+
+
+@each_filter
+def test_a_wild_sample_leaves_the_answer_finite(name: str) -> None:
+    for column, value in ((AX, 1e6), (AY, -1e6), (YAW_RATE, 1e6), (STEER, 1.5), (14, 1e6)):
+        inputs = rough()
+        inputs.samples[700, column] = value
+        estimate = make_filter(name, GOLF).run(inputs)
+        assert np.isfinite(estimate.beta).all()
+        assert np.isfinite(estimate.beta_std).all()
+        assert np.abs(estimate.beta).max() <= MAX_BETA + 1e-9 or name in UNBOUNDED
