@@ -48,6 +48,8 @@ ROLLING_RESISTANCE = 0.012
 
 # Below this rolling speed [m/s] slip is taken over this speed: slip is no quotient at standstill.
 LOW_SPEED = 0.5
+# Rate [1/s] at which slip follows at most, whatever the speed of a spinning wheel: what a 1 ms step bears.
+FASTEST_SLIP = 800.0
 # Below this speed [m/s] the tyre's deflection is damped, or car and wheels would swing on it.
 DAMPED_SPEED = 4.0
 DAMPING_X, DAMPING_Y = 0.01, 0.05  # [s]
@@ -56,6 +58,8 @@ STICK_RATE = 1000.0
 DRIVE_LAG = 0.08  # [s]
 TOE_LAG = 0.015  # bushings [s]
 ANTI_LOCK_SPEED = 2.0  # [m/s]
+# Slip at which the anti-lock has let go of a brake; the rear wheels must not lock first.
+LOCKING, LOCKING_REAR = 0.20, 0.08
 # Below this speed [m/s] torque, not power, is the limit of the drive.
 FULL_POWER_SPEED = 8.0
 
@@ -163,8 +167,8 @@ def _wheel(i, x, u, vx, vy, cs, sn, load, tyre, p, dx):
     rim = x[SPIN + i] * p.wheel_radius
     # The lateral speed bounds the slip of a car that slides sideways, where nothing rolls.
     rolling = max(max(abs(along), abs(rim)), max(LOW_SPEED, 0.3 * abs(across)))
-    rate_x = (rim - along - rolling * x[SLIP_X + i]) / p.relaxation_x
-    rate_y = (-across - rolling * x[SLIP_Y + i]) / p.relaxation_y
+    rate_x = (rim - along - rolling * x[SLIP_X + i]) / max(p.relaxation_x, rolling / FASTEST_SLIP)
+    rate_y = (-across - rolling * x[SLIP_Y + i]) / max(p.relaxation_y, rolling / FASTEST_SLIP)
     dx[SLIP_X + i] = rate_x
     dx[SLIP_Y + i] = rate_y
     slip_x, slip_y = x[SLIP_X + i], x[SLIP_Y + i]
@@ -194,10 +198,10 @@ def _wheel_torques(x, u, load_fl, load_fr, load_rl, load_rr, p, dx):
         0.5 * (1.0 - p.brake_share_front) * u[BRAKE],
     )
     hand = 0.5 * u[HANDBRAKE]
-    _torque(0, x, _driven(0, x, front, p) - lock_front, brake_front, roll * load_fl, p, dx)
-    _torque(1, x, _driven(1, x, front, p) + lock_front, brake_front, roll * load_fr, p, dx)
-    _torque(2, x, _driven(2, x, rear, p) - lock_rear, brake_rear, roll * load_rl + hand, p, dx)
-    _torque(3, x, _driven(3, x, rear, p) + lock_rear, brake_rear, roll * load_rr + hand, p, dx)
+    _torque(0, x, _driven(0, x, front, p) - lock_front, brake_front, LOCKING, roll * load_fl, p, dx)
+    _torque(1, x, _driven(1, x, front, p) + lock_front, brake_front, LOCKING, roll * load_fr, p, dx)
+    _torque(2, x, _driven(2, x, rear, p) - lock_rear, brake_rear, LOCKING_REAR, roll * load_rl + hand, p, dx)
+    _torque(3, x, _driven(3, x, rear, p) + lock_rear, brake_rear, LOCKING_REAR, roll * load_rr + hand, p, dx)
 
 
 @njit(cache=True)
@@ -210,13 +214,13 @@ def _driven(i, x, torque, p):
 
 
 @njit(cache=True)
-def _torque(i, x, drive, brake, other, p, dx):
+def _torque(i, x, drive, brake, locking, other, p, dx):
     """Add torques to the spin of wheel i; Coulomb torques are viscous about zero spin.
 
-    The anti-lock lets the brake go between 8 and 20 % slip; `other` torques (handbrake, rolling) stay.
+    The anti-lock lets the brake go as slip comes near `locking`; `other` torques (handbrake, rolling) stay.
     """
     if p.anti_lock > 0.0 and x[VX] > ANTI_LOCK_SPEED:
-        brake *= min(max((0.20 + x[SLIP_X + i]) / 0.12, 0.0), 1.0)
+        brake *= min(max((locking + x[SLIP_X + i]) / (0.6 * locking), 0.0), 1.0)
     limit = (brake + other) / p.wheel_inertia
     dx[SPIN + i] += drive / p.wheel_inertia - min(max(STICK_RATE * x[SPIN + i], -limit), limit)
 

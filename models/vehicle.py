@@ -26,13 +26,13 @@ class Tyre(_Table):
 
     model: Literal["linear", "dugoff", "pacejka"] = "dugoff"
     shape: float = Field(default=1.4, gt=1.0, lt=2.0)
-    curvature: float = Field(default=-0.2, le=1.0, ge=-10.0)
-    relaxation_length: float = Field(default=0.45, gt=0.05, le=3.0, description="lateral [m]")
+    curvature: float = Field(default=-0.5, le=1.0, ge=-10.0)
+    relaxation_length: float = Field(default=0.3, gt=0.05, le=3.0, description="lateral [m]")
     load_sensitivity: float = Field(
-        default=0.1, ge=0.0, le=0.4, description="friction lost per static load added"
+        default=0.05, ge=0.0, le=0.4, description="friction lost per static load added"
     )
     stiffness_peak_load: float = Field(
-        default=2.2, ge=1.2, le=100.0, description="load of the highest stiffness, in static loads"
+        default=4.0, ge=1.2, le=100.0, description="load of the highest stiffness, in static loads"
     )
 
 
@@ -56,7 +56,7 @@ class Plant(_Table):
     body_damping: float = Field(default=0.4, ge=0.1, le=2.0, description="damping ratio of the same")
     max_steer: float = Field(default=0.6, gt=0.0, lt=1.2, description="road-wheel angle [rad]")
     max_steer_rear: float = Field(default=0.0, ge=0.0, lt=0.6, description="0: no rear steering [rad]")
-    steer_lag: float = Field(default=0.05, ge=0.005, lt=1.0, description="hand wheel to road wheel [s]")
+    steer_lag: float = Field(default=0.02, ge=0.005, lt=1.0, description="hand wheel to road wheel [s]")
     steer_free_play: float = Field(default=0.0, ge=0.0, lt=0.1, description="at the road wheel [rad]")
     compliance_front: float = Field(default=5e-7, ge=0.0, le=1e-4, description="lost per side force [rad/N]")
     compliance_rear: float = Field(default=0.0, ge=0.0, le=1e-4, description="lost per side force [rad/N]")
