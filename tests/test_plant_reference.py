@@ -42,7 +42,7 @@ def vehicle_of(p) -> Vehicle:
     wheelbase = p.a + p.b
     load_front = GRAVITY * (p.m_s * p.b / wheelbase + p.m_uf)
     load_rear = GRAVITY * (p.m_s * p.a / wheelbase + p.m_ur)
-    # Roll about an axis on the ground: springs at the wheels, torsion bars (printed with a negative sign), less
+    # Roll about an axis on the ground: springs at the wheels, torsion bars (printed negative), less
     # what the raised weight takes.
     springs = 0.5 * (p.K_sf * p.T_f**2 + p.K_sr * p.T_r**2) - p.K_tsf - p.K_tsr
     roll_stiffness = springs - p.m_s * GRAVITY * p.h_s
@@ -172,8 +172,8 @@ def test_step_steer_rises_and_overshoots_within_10_percent(car, speed, turning):
     size = steer_for(vehicle, speed, turning)
     ours, theirs = plant_run(vehicle, speed, size, 3.0), reference_run(p, speed, size, 3.0)
     print(
-        f"car {car} {speed} m/s {turning} g: rise {rise_time(ours):.3f} s, reference {rise_time(theirs):.3f} s;"
-        f" peak {overshoot(ours):.3f}, reference {overshoot(theirs):.3f}"
+        f"car {car} {speed} m/s {turning} g: rise {rise_time(ours):.3f} s, reference {rise_time(theirs):.3f}"
+        f"; peak {overshoot(ours):.3f}, reference {overshoot(theirs):.3f}"
     )
     assert rise_time(ours) == pytest.approx(rise_time(theirs), rel=0.10)
     assert overshoot(ours) == pytest.approx(overshoot(theirs), rel=0.10)

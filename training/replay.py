@@ -35,13 +35,14 @@ DIRECT_LAG = 0.005
 
 
 def replay_plant(log: Signals, vehicle: Vehicle, steer_offset: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
-    """Yaw rate ``(n,)`` [rad/s] and sideslip angle ``(n,)`` [rad] of the plant under a log's steering and speed.
+    """Yaw rate ``(n,)`` [rad/s] and sideslip angle ``(n,)`` [rad] of the plant in a log's driving.
 
     Parameters
     ----------
     log : Signals
-        Its steer (or steer_wheel), steer_rear and speed are used; vx_ref before vx. Friction is the vehicle's.
+        Its steer (or steer_wheel), steer_rear and speed are used; vx_ref before vx.
     vehicle : Vehicle
+        Its friction is that of the road.
     steer_offset : float
         What the road-wheel angle of the log reads straight ahead [rad].
     """
@@ -57,7 +58,7 @@ def replay_plant(log: Signals, vehicle: Vehicle, steer_offset: float = 0.0) -> t
 
 
 def replay_linear(log: Signals, vehicle: Vehicle, steer_offset: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
-    """The same of the linear single track: constant axle stiffness, small angles; arguments as in `replay_plant`."""
+    """The same of the linear single track: constant axle stiffness, small angles."""
     speed, steer, rear = _inputs(log, vehicle, steer_offset)
     yaw_rate, beta = np.empty((2, len(speed)))
     _run_linear(
@@ -98,7 +99,7 @@ def _run(x, t, speed, steer, rear, friction, p, yaw_rate, beta):
             break
         # A gap in the log is bridged by the last inputs for a quarter of a second, not for minutes.
         length = min(t[k + 1] - t[k], 0.25)
-        steps = int(ceil(length / LONGEST_STEP - 1e-9))
+        steps = ceil(length / LONGEST_STEP - 1e-9)
         for i in range(steps):
             share = (i + 0.5) / steps
             target = speed[k] + share * (speed[k + 1] - speed[k])
@@ -114,14 +115,14 @@ def _run(x, t, speed, steer, rear, friction, p, yaw_rate, beta):
 
 @njit(cache=True)
 def _run_linear(t, speed, steer, rear, mass, inertia, a, b, front, back, yaw_rate, beta):
-    """Write yaw rate and sideslip angle of the linear single track by implicit Euler steps of 1 ms at most."""
+    """Write yaw rate and sideslip angle of the linear single track in implicit Euler steps of 1 ms."""
     r, slip = 0.0, 0.0
     for k in range(t.size):
         yaw_rate[k], beta[k] = r, slip
         if k + 1 == t.size:
             break
         length = min(t[k + 1] - t[k], 0.25)
-        steps = int(ceil(length / LONGEST_STEP - 1e-9))
+        steps = ceil(length / LONGEST_STEP - 1e-9)
         h = length / steps
         for i in range(steps):
             share = (i + 0.5) / steps

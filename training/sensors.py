@@ -108,7 +108,8 @@ def _each(values: np.ndarray | tuple[float, ...]) -> dict[str, float]:
     return {name: float(value) for name, value in zip(CHANNELS, values, strict=True)}
 
 
-PERFECT = SensorFaults(*(_each((0.0,) * len(CHANNELS)) for _ in range(6)))
+_NONE = _each((0.0,) * len(CHANNELS))
+PERFECT = SensorFaults(_NONE, _NONE, _NONE, _NONE, _NONE, _NONE)
 """Sensors without fault, noise or quantisation."""
 
 
