@@ -1,4 +1,7 @@
-"""Magic Formula tyre under combined slip, with load sensitivity: the tyre of the simulation plant."""
+"""Magic Formula tyre under combined slip, with load sensitivity: the tyre of the simulation plant.
+
+The equations stand in docs/plant.md.
+"""
 
 from __future__ import annotations
 
@@ -7,10 +10,11 @@ from typing import NamedTuple
 
 from numba import njit
 
-# Load, in static loads, at which cornering stiffness peaks: Pacejka 2012, eq. 4.E25, usual values 1.5 to 3.
-PEAK_STIFFNESS_LOAD = 2.2
-# Longitudinal slip stiffness over cornering stiffness; passenger-car tyres have 1.2 to 2.
 SLIP_STIFFNESS_RATIO = 1.4
+"""Longitudinal slip stiffness over cornering stiffness, an assumption."""
+
+FIRM_GROUND = 0.9
+"""Below this friction coefficient the surface yields too: stiffness falls with the root of friction."""
 
 
 class CombinedTyre(NamedTuple):
@@ -23,9 +27,11 @@ class CombinedTyre(NamedTuple):
     stiffness : float
         Cornering stiffness at the static load [N/rad].
     shape, curvature : float
-        C and E of the Magic Formula (Pacejka 2012, eq. 4.49).
+        C and E of the Magic Formula.
     load_sensitivity : float
         Share of the friction coefficient lost per static load added.
+    peak_load : float
+        Load, in static loads, at which the cornering stiffness peaks.
     """
 
     load: float
@@ -33,11 +39,12 @@ class CombinedTyre(NamedTuple):
     shape: float
     curvature: float
     load_sensitivity: float
+    peak_load: float
 
 
 @njit(cache=True)
 def combined_forces(slip_x, slip_y, load, friction, tyre):
-    """Forces of a tyre at combined slip, by the similarity method (Pacejka 2012, section 4.3.1).
+    """Forces of a tyre at combined slip, by similarity (docs/plant.md, section 2).
 
     The slip, normalised by friction, stiffness and load, enters one Magic Formula of unit slope and unit
     peak. The force points along the normalised slip when small and against the sliding velocity when large.
@@ -61,8 +68,10 @@ def combined_forces(slip_x, slip_y, load, friction, tyre):
         return 0.0, 0.0
     ratio = load / tyre.load
     limit = friction * max(0.5, 1.0 - tyre.load_sensitivity * (ratio - 1.0)) * load
-    peak_squared = PEAK_STIFFNESS_LOAD * PEAK_STIFFNESS_LOAD
+    peak_squared = tyre.peak_load * tyre.peak_load
     stiffness = tyre.stiffness * ratio * (1.0 + peak_squared) / (peak_squared + ratio * ratio)
+    if friction < FIRM_GROUND:
+        stiffness *= sqrt(friction / FIRM_GROUND)
     scale = stiffness / limit
     pure = scale * scale * (slip_x * slip_x + slip_y * slip_y)
     k_x = scale * slip_x * (1.0 + (SLIP_STIFFNESS_RATIO - 1.0) / (1.0 + pure))

@@ -21,15 +21,18 @@ class _Table(BaseModel):
 class Tyre(_Table):
     """Tyre law and the shape of its curve; the stiffness and friction stand in the vehicle itself.
 
-    `shape` and `curvature` are C and E of the Magic Formula (Pacejka 2012, eq. 4.49).
+    `shape` and `curvature` are C and E of the Magic Formula.
     """
 
     model: Literal["linear", "dugoff", "pacejka"] = "dugoff"
     shape: float = Field(default=1.4, gt=1.0, lt=2.0)
-    curvature: float = Field(default=-0.2, le=1.0, ge=-10.0)
-    relaxation_length: float = Field(default=0.45, gt=0.05, le=3.0, description="lateral [m]")
+    curvature: float = Field(default=-0.5, le=1.0, ge=-10.0)
+    relaxation_length: float = Field(default=0.3, gt=0.05, le=3.0, description="lateral [m]")
     load_sensitivity: float = Field(
-        default=0.1, ge=0.0, le=0.4, description="friction lost per static load added"
+        default=0.05, ge=0.0, le=0.4, description="friction lost per static load added"
+    )
+    stiffness_peak_load: float = Field(
+        default=4.0, ge=1.2, le=100.0, description="load of the highest stiffness, in static loads"
     )
 
 
@@ -37,18 +40,28 @@ class Plant(_Table):
     """What only the simulation needs."""
 
     drive: Literal["front", "rear", "all"] = "front"
-    drag_area: float = Field(default=0.65, ge=0.0, description="drag coefficient times area [m^2]")
-    wheel_inertia: float = Field(default=1.2, gt=0.0, description="spin inertia of one wheel [kg m^2]")
-    brake_share_front: float = Field(default=0.65, gt=0.0, lt=1.0)
-    roll_share_front: float = Field(default=0.55, gt=0.0, lt=1.0, description="of the roll stiffness")
+    drive_share_front: float = Field(default=0.45, gt=0.0, lt=1.0, description="of the torque, drive = all")
     power: float = Field(default=90e3, gt=0.0, description="largest drive power [W]")
-    max_steer: float = Field(default=0.6, gt=0.0, lt=1.2, description="road-wheel angle [rad]")
-    steer_lag: float = Field(default=0.05, ge=0.005, lt=1.0, description="hand wheel to road wheel [s]")
-    pitch_gradient: float = Field(default=0.003, ge=0.0, lt=0.1, description="[rad per m/s^2]")
-    body_frequency: float = Field(default=1.6, ge=0.3, le=8.0, description="of roll and pitch [Hz]")
-    body_damping: float = Field(default=0.4, ge=0.1, le=2.0, description="damping ratio of roll and pitch")
-    anti_lock: bool = Field(default=True, description="brakes let go of a wheel that slips too much")
+    top_speed: float = Field(default=50.0, ge=5.0, le=100.0, description="never passed in simulation [m/s]")
     differential_lock: float = Field(default=5.0, ge=0.0, le=150.0, description="per driven axle [N m s/rad]")
+    traction_control: bool = Field(default=True, description="drive lets go of a wheel that spins")
+    brake_share_front: float = Field(default=0.75, ge=0.0, lt=1.0)
+    anti_lock: bool = Field(default=True, description="brakes let go of a wheel that slips too much")
+    wheel_inertia: float = Field(default=1.2, gt=0.0, description="spin inertia of one wheel [kg m^2]")
+    drag_area: float = Field(default=0.65, ge=0.0, description="drag coefficient times area [m^2]")
+    lift_area: float = Field(default=0.1, ge=-10.0, le=2.0, description="the same for lift [m^2]")
+    roll_share_front: float = Field(default=0.55, gt=0.0, lt=1.0, description="of the roll stiffness")
+    pitch_gradient: float = Field(default=0.003, ge=0.0, lt=0.1, description="[rad per m/s^2]")
+    body_frequency: float = Field(default=1.6, ge=0.3, le=8.0, description="of roll, pitch and heave [Hz]")
+    body_damping: float = Field(default=0.4, ge=0.1, le=2.0, description="damping ratio of the same")
+    max_steer: float = Field(default=0.6, gt=0.0, lt=1.2, description="road-wheel angle [rad]")
+    max_steer_rear: float = Field(default=0.0, ge=0.0, lt=0.6, description="0: no rear steering [rad]")
+    steer_lag: float = Field(default=0.02, ge=0.005, lt=1.0, description="hand wheel to road wheel [s]")
+    steer_free_play: float = Field(default=0.0, ge=0.0, lt=0.1, description="at the road wheel [rad]")
+    compliance_front: float = Field(default=5e-7, ge=0.0, le=1e-4, description="lost per side force [rad/N]")
+    compliance_rear: float = Field(default=0.0, ge=0.0, le=1e-4, description="lost per side force [rad/N]")
+    roll_steer_front: float = Field(default=0.0, ge=-1.0, le=1.0, description="out of the turn [rad/rad]")
+    roll_steer_rear: float = Field(default=0.0, ge=-1.0, le=1.0, description="into the turn [rad/rad]")
 
 
 class Vehicle(_Table):

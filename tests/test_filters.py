@@ -242,7 +242,24 @@ def test_particles_without_noise_follow_the_model_exactly(missing: list[int]) ->
     np.testing.assert_allclose(particles.log_weights, log_weights, rtol=1e-9)
 
 
-def test_process_noise_is_uniform_white_and_of_unit_variance() -> None:
+def test_particles_are_shaken_independently_and_as_much_as_the_settings_say() -> None:
+    estimator = RandomWalkPF(GOLF, particles=5000)
+    noise, car = estimator.noise, estimator.car
+    sample = slalom(2)[0].samples[1]
+    particles = estimator.make_state()
+    particles.x[:] = np.array([0.2, -0.05, 500.0, -300.0, 4000.0, 3000.0])[:, None]
+    shaken = -particles.x
+    move_and_weigh(particles, sample, 0.0, car, noise, DT)
+    shaken += particles.x
+    for i in range(5000):  # what is left when the forces have done their part is noise
+        moved = np.array([0.2, -0.05, *particles.x[2:, i]])
+        yaw_acceleration, slip_rate, _, _ = random_walk_rates(moved, *sample[[VX, STEER, STEER_REAR]], car)
+        shaken[:2, i] -= DT * yaw_acceleration, DT * slip_rate
+    size = np.array([noise.yaw_acceleration, noise.slip_rate, *[car.mass * noise.force] * 4]) * np.sqrt(DT)
+    np.testing.assert_allclose(np.cov(shaken / size[:, None]), np.eye(6), atol=4.5 / np.sqrt(5000))
+
+
+def test_uniform_draws_are_white_and_of_unit_variance() -> None:
     n = 200_000
     noise = np.empty((6, n))
     draw_uniform(np.random.Generator(np.random.SFC64(1)), noise)

@@ -4,26 +4,35 @@ import numpy as np
 import pytest
 
 from crosscomb.models.plant import (
+    BANK,
     BRAKE,
+    DIP,
     DRIVE_COMMAND,
     FRICTION,
+    HEADING,
+    HEAVE,
     INPUTS,
     ROLL,
+    SLOPE,
     SPIN,
     STATES,
+    STEER,
     STEER_COMMAND,
+    STEER_REAR_COMMAND,
     VX,
     VY,
     YAW_RATE,
     PlantParameters,
+    X,
+    Y,
     make_plant,
-    step,
-    wheel_loads,
+    understeer,
 )
+from crosscomb.models.plant_motion import step, wheel_loads
 from crosscomb.models.tyres_combined import combined_forces
 from crosscomb.models.vehicle import Plant, Vehicle
 from crosscomb.signals import GRAVITY
-from crosscomb.training.driver import start, understeer
+from crosscomb.training.driver import start
 
 CAR = Vehicle(
     name="test car",
@@ -51,10 +60,14 @@ def drive(
     friction: float = 0.9,
     seconds: float = 10.0,
     dt: float = 0.001,
+    others: dict[int, float] | None = None,
 ) -> np.ndarray:
-    """States every 10 ms under constant inputs."""
+    """States every 10 ms under constant inputs; `others` are further inputs by number."""
     x, work, u = start(speed, p), np.zeros((4, STATES)), np.zeros(INPUTS)
-    u[STEER_COMMAND], u[DRIVE_COMMAND], u[BRAKE], u[FRICTION] = steer, torque, brake, friction
+    u[STEER_COMMAND], u[DRIVE_COMMAND], u[BRAKE] = steer, torque, brake
+    u[FRICTION : FRICTION + 4] = friction
+    for number, value in (others or {}).items():
+        u[number] = value
     out = np.empty((round(seconds / 0.01), STATES))
     for row in out:
         row[:] = x
@@ -64,13 +77,19 @@ def drive(
 
 
 def test_tyre_has_the_stiffness_of_the_vehicle_file():
-    p = make_plant(CAR)
+    p = make_plant(CAR.model_copy(update={"plant": Plant(compliance_front=0.0)}))
     for tyre, axle in (
         (p.tyre_front, CAR.cornering_stiffness_front),
         (p.tyre_rear, CAR.cornering_stiffness_rear),
     ):
         _, force = combined_forces(0.0, 1e-6, tyre.load, 0.9, tyre)
         assert 2.0 * force / 1e-6 == pytest.approx(axle, rel=1e-4)
+
+
+def test_slippery_ground_makes_the_tyre_softer_as_well():
+    tyre = make_plant(CAR).tyre_front
+    firm, snow = (combined_forces(0.0, 1e-6, tyre.load, friction, tyre)[1] for friction in (0.9, 0.3))
+    assert 0.4 * firm < snow < 0.8 * firm
 
 
 def test_tyre_force_never_exceeds_friction():
@@ -96,7 +115,7 @@ def test_braking_takes_lateral_force_from_the_tyre():
 
 def test_car_at_rest_stays_at_rest():
     states = drive(make_plant(CAR), 0.0, steer=0.3, brake=2000.0, seconds=5.0)
-    assert np.all(states[:, :18] == 0.0)
+    assert np.all(states[:, :HEAVE] == 0.0)
 
 
 @pytest.mark.parametrize(
@@ -148,7 +167,7 @@ def test_energy_does_not_grow_when_coasting(steer):
 
 @pytest.mark.parametrize("speed", [8.0, 15.0, 25.0])
 def test_steady_yaw_gain_is_that_of_the_linear_single_track(speed):
-    p = make_plant(CAR.model_copy(update={"plant": Plant(drag_area=0.0)}))
+    p = make_plant(CAR.model_copy(update={"plant": Plant(drag_area=0.0, lift_area=0.0)}))
     linear = speed / (CAR.wheelbase + understeer(p) * speed**2)
     steer = 0.5 / (linear * speed)
     # The torque balances rolling resistance, so that the speed stays.
@@ -200,7 +219,7 @@ def test_anti_lock_keeps_the_wheels_turning():
 
 @pytest.mark.parametrize(("layout", "wheel"), [("front", 0), ("rear", 2)])
 def test_driven_wheels_spin_up_from_standstill_on_snow(layout, wheel):
-    p = make_plant(CAR.model_copy(update={"plant": Plant(drive=layout)}))
+    p = make_plant(CAR.model_copy(update={"plant": Plant(drive=layout, traction_control=False)}))
     states = drive(p, 0.0, torque=3000.0, friction=0.3, seconds=3.0)
     assert np.all(np.isfinite(states))
     rim = states[-1, SPIN + wheel] * p.wheel_radius
@@ -208,3 +227,94 @@ def test_driven_wheels_spin_up_from_standstill_on_snow(layout, wheel):
     assert rim > 1.5 * states[-1, VX]
     assert undriven == pytest.approx(states[-1, VX], rel=0.02)
     assert 2.0 < states[-1, VX] < 0.3 * GRAVITY * 3.0
+
+
+def test_traction_control_keeps_the_driven_wheels_from_spinning_up():
+    p = make_plant(CAR.model_copy(update={"plant": Plant(drive="rear")}))
+    states = drive(p, 0.0, torque=3000.0, friction=0.3, seconds=5.0)
+    rim = states[200:, SPIN + 2] * p.wheel_radius
+    assert np.all(rim < 1.25 * states[200:, VX])
+    assert states[-1, VX] > 0.5 * 0.3 * GRAVITY * 5.0 * 0.4
+
+
+def test_axle_with_compliance_has_the_stiffness_of_the_vehicle_file():
+    stiff, soft = (
+        make_plant(
+            CAR.model_copy(update={"plant": Plant(compliance_front=c, compliance_rear=c, drag_area=0.0)})
+        )
+        for c in (0.0, 2e-6)
+    )
+    assert soft.tyre_front.stiffness > 1.1 * stiff.tyre_front.stiffness
+    assert understeer(soft) == pytest.approx(understeer(stiff), rel=1e-9)
+    turned = [drive(p, 20.0, 0.01, torque=60.0, seconds=4.0)[-1, YAW_RATE] for p in (stiff, soft)]
+    assert turned[1] == pytest.approx(turned[0], rel=0.01)
+
+
+def test_energy_is_kept_on_a_slope_and_a_bank():
+    slope, bank = 0.05, -0.03
+    p = make_plant(CAR.model_copy(update={"plant": Plant(drag_area=0.0)}))
+    states = drive(p, 10.0, steer=0.0, seconds=0.6, others={SLOPE: slope, BANK: bank})
+    height = slope * states[:, X] + bank * states[:, Y]
+    energy = 0.5 * p.mass * (states[:, VX] ** 2 + states[:, VY] ** 2) + p.mass * GRAVITY * height
+    energy += 0.5 * p.yaw_inertia * states[:, YAW_RATE] ** 2
+    energy += 0.5 * p.wheel_inertia * np.sum(states[:, SPIN : SPIN + 4] ** 2, axis=1)
+    lost = 0.012 * p.mass * GRAVITY * states[-1, X]
+    assert energy[0] - energy[-1] == pytest.approx(lost, rel=0.05)
+
+
+def test_car_rolls_down_a_slope_with_the_acceleration_of_gravity():
+    p = make_plant(CAR)
+    states = drive(p, 5.0, seconds=2.0, others={SLOPE: -0.1})
+    wheels = 4.0 * p.wheel_inertia / p.wheel_radius**2
+    expected = p.mass * GRAVITY * (0.1 - 0.012) / (p.mass + wheels)
+    assert (states[-1, VX] - 5.0) / 1.99 == pytest.approx(expected, rel=0.02)
+
+
+def test_bank_pulls_to_its_low_side_and_mirrors():
+    p = make_plant(CAR)
+    raised_left, raised_right = (drive(p, 20.0, seconds=3.0, others={BANK: b}) for b in (0.05, -0.05))
+    assert raised_left[-1, Y] < -0.5
+    np.testing.assert_allclose(raised_left[:, Y], -raised_right[:, Y], rtol=0.0, atol=1e-9)
+
+
+def test_braking_on_split_friction_turns_the_car_to_the_grippy_side():
+    p = make_plant(CAR)
+    slippery_left = {FRICTION: 0.2, FRICTION + 2: 0.2}
+    states = drive(p, 20.0, brake=3000.0, seconds=1.0, others=slippery_left)
+    assert states[-1, HEADING] < -0.05
+    slippery_right = {FRICTION + 1: 0.2, FRICTION + 3: 0.2}
+    mirrored = drive(p, 20.0, brake=3000.0, seconds=1.0, others=slippery_right)
+    np.testing.assert_allclose(states[:, HEADING], -mirrored[:, HEADING], rtol=0.0, atol=1e-9)
+
+
+def test_dip_presses_the_wheels_and_a_crest_frees_them():
+    p = make_plant(CAR.model_copy(update={"plant": Plant(lift_area=0.0)}))
+    for dip in (0.005, -0.005):
+        state = drive(p, 20.0, seconds=3.0, others={DIP: dip})[-1]
+        assert sum(wheel_loads(state, p)) == pytest.approx(
+            p.mass * (GRAVITY + dip * state[VX] ** 2), rel=0.01
+        )
+
+
+def test_rear_steering_turns_the_other_way_and_in_phase_takes_the_yaw():
+    p = make_plant(CAR.model_copy(update={"plant": Plant(max_steer_rear=0.1)}))
+    front = drive(p, 15.0, steer=0.02, seconds=3.0)[-1]
+    rear = drive(p, 15.0, seconds=3.0, others={STEER_REAR_COMMAND: 0.02})[-1]
+    both = drive(p, 15.0, steer=0.02, seconds=3.0, others={STEER_REAR_COMMAND: 0.02})[-1]
+    assert rear[YAW_RATE] == pytest.approx(-front[YAW_RATE], rel=0.03)
+    assert abs(both[YAW_RATE]) < 0.03 * front[YAW_RATE]
+    # The car moves crabwise, along its wheels.
+    assert np.arctan2(both[VY], both[VX]) == pytest.approx(0.02, rel=0.05)
+
+
+def test_free_play_holds_the_road_wheels_back():
+    p = make_plant(CAR.model_copy(update={"plant": Plant(steer_free_play=0.01)}))
+    assert drive(p, 15.0, steer=0.004, seconds=2.0)[-1, STEER] == 0.0
+    assert drive(p, 15.0, steer=0.020, seconds=2.0)[-1, STEER] == pytest.approx(0.015, rel=1e-3)
+
+
+def test_car_reverses_and_turns_as_geometry_has_it():
+    p = make_plant(CAR)
+    state = drive(p, -3.0, steer=0.2, torque=-150.0, seconds=4.0)[-1]
+    assert state[VX] < -2.0
+    assert state[YAW_RATE] == pytest.approx(state[VX] * np.tan(0.2) / CAR.wheelbase, rel=0.05)

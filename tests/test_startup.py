@@ -33,18 +33,7 @@ except SystemExit as stop:
     code = stop.code
 print(json.dumps([code, compiled]))
 """
-HEAVY = {
-    "numpy",
-    "pandas",
-    "sklearn",
-    "numba",
-    "scipy",
-    "matplotlib",
-    "filterpy",
-    "pydantic",
-    "joblib",
-    "rich",
-}
+HEAVY = {"numpy", "pandas", "sklearn", "numba", "scipy", "matplotlib", "filterpy", "joblib"}
 
 
 def run(program: str, *words: object, folder: Path | None = None) -> tuple[int, list[str]]:
@@ -74,7 +63,6 @@ def test_estimate_imports_neither_scikit_learn_nor_filterpy_nor_matplotlib(data_
 
 
 def test_a_second_process_compiles_nothing(data_set, tmp_path):
-    """Also with a trained tree, a picture and a log whose channels have to be made."""
     log = sorted(data_set.glob("*.csv"))[0]
     run(COMPILED, "estimate", log, "-o", tmp_path)
     code, compiled = run(COMPILED, "estimate", log, "-o", tmp_path)

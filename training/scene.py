@@ -7,26 +7,28 @@ from itertools import pairwise
 
 import numpy as np
 
-from crosscomb.models.plant import PlantParameters
+from crosscomb.models.plant import PlantParameters, critical_speed, understeer
 from crosscomb.signals import GRAVITY
-from crosscomb.training.driver import (
+from crosscomb.training.road import Road
+from crosscomb.training.schedule import (
     COLUMNS,
     CONTROL_PERIOD,
+    FRICTION_LEFT,
+    FRICTION_RIGHT,
     MODE,
     OPEN_LOOP,
+    ROAD_BANK,
+    ROAD_DIP,
+    ROAD_SLOPE,
     SPEED,
-    SURFACE,
-    critical_speed,
-    understeer,
 )
 
-TOP_SPEED = 36.0
-NO_PATH = np.zeros((1, 3))
+NO_PATH = np.zeros((1, 4))
 
 
 @dataclass
 class Plan:
-    """What the driver is to do: start speed [m/s], schedule ``(n, COLUMNS)``, path ``(m, 3)``."""
+    """What the driver is to do: start speed [m/s], schedule ``(n, COLUMNS)``, path ``(m, 4)``."""
 
     speed: float
     schedule: np.ndarray
@@ -35,26 +37,47 @@ class Plan:
 
 @dataclass(frozen=True)
 class Scene:
-    """What a manoeuvre is planned for: car, friction over time ``(n,)``, and the source of chance."""
+    """What a manoeuvre is planned for: car, its highest speed [m/s], road, and the source of chance."""
 
     plant: PlantParameters
-    friction: np.ndarray
+    top_speed: float
+    road: Road
     rng: np.random.Generator
 
     @property
     def t(self) -> np.ndarray:
         """Time ``(n,) [s]``."""
-        return np.arange(len(self.friction)) * CONTROL_PERIOD
+        return np.arange(len(self.road.left)) * CONTROL_PERIOD
 
     @property
     def grip(self) -> float:
         """Lateral acceleration [m/s^2] that the most slippery part of the road bears."""
-        return float(self.friction.min()) * GRAVITY
+        return float(self.road.grip.min()) * GRAVITY
 
-    def top_speed(self) -> float:
-        """Speed [m/s] not to be passed: road, friction and, for an oversteering car, stability."""
-        road = TOP_SPEED * min(1.0, 0.45 + 0.6 * float(self.friction.min()))
-        return min(road, 0.85 * critical_speed(self.plant))
+    @property
+    def side(self) -> float:
+        """A chance side: 1 is left."""
+        return float(self.rng.choice([-1.0, 1.0]))
+
+    def highest(self) -> float:
+        """Speed [m/s] not to be passed: car, friction and, for an oversteering car, stability."""
+        friction = self.grip / GRAVITY
+        return min(self.top_speed * min(1.0, 0.35 + 0.75 * friction), 0.85 * critical_speed(self.plant))
+
+    def speed(self, low: float, high: float) -> float:
+        """A chance speed between two bounds [m/s], slow and fast ones alike; none above the highest."""
+        top = self.highest()
+        low, high = min(low, max(0.6 * top, 3.5)), min(high, top)
+        return float(np.exp(self.rng.uniform(np.log(low), np.log(max(high, low)))))
+
+    def cornering(self, low: float, high: float, most: float = 20.0) -> float:
+        """A chance lateral acceleration [m/s^2] between two shares of the grip, at most `most`."""
+        return min(float(self.rng.uniform(low, high)) * self.grip, most)
+
+    def radius(self, low: float, high: float) -> float:
+        """A chance radius between two bounds [m], tight and wide ones alike; wide on slippery road."""
+        radius = float(np.exp(self.rng.uniform(np.log(low), np.log(high))))
+        return max(radius, 60.0 / self.grip)
 
     def steer_for(self, ay: float, speed: float) -> float:
         """Road-wheel angle [rad] that gives a small lateral acceleration [m/s^2] in steady state."""
@@ -64,16 +87,18 @@ class Scene:
 
     def throw(self, low: float, high: float, speed: float) -> float:
         """Steering to a chance side, for a chance share of the grip between two bounds [rad]."""
-        return float(self.rng.choice([-1.0, 1.0])) * self.steer_for(
-            self.rng.uniform(low, high) * self.grip, speed
-        )
+        return self.side * self.steer_for(self.rng.uniform(low, high) * self.grip, speed)
 
     def plan(self, speed: float, path: np.ndarray = NO_PATH, mode: float = OPEN_LOOP) -> Plan:
         """A plan that holds a speed [m/s] straight ahead, or along a path."""
-        schedule = np.zeros((len(self.friction), COLUMNS))
+        schedule = np.zeros((len(self.t), COLUMNS))
         schedule[:, SPEED] = speed
         schedule[:, MODE] = mode
-        schedule[:, SURFACE] = self.friction
+        schedule[:, FRICTION_LEFT] = self.road.left
+        schedule[:, FRICTION_RIGHT] = self.road.right
+        schedule[:, ROAD_SLOPE] = self.road.slope
+        schedule[:, ROAD_BANK] = self.road.bank
+        schedule[:, ROAD_DIP] = self.road.dip
         return Plan(speed, schedule, path)
 
 
@@ -96,9 +121,15 @@ def segments(scene: Scene, low: float, high: float) -> list[slice]:
 
 
 def curve_path(curvature: np.ndarray, speed: np.ndarray) -> np.ndarray:
-    """Path ``(m, 3)`` from the curvature [1/m] and speed [m/s] at every metre."""
+    """Path ``(m, 4)`` from the curvature [1/m] and speed [m/s] at every metre."""
     heading = np.concatenate(([0.0], np.cumsum(curvature)[:-1]))
-    return np.column_stack((np.cumsum(np.cos(heading)), np.cumsum(np.sin(heading)), speed))
+    return np.column_stack((np.cumsum(np.cos(heading)), np.cumsum(np.sin(heading)), heading, speed))
+
+
+def lane_path(side: np.ndarray, speed: float) -> np.ndarray:
+    """Path ``(m, 4)`` straight ahead with an offset to the side [m] at every metre."""
+    along = np.arange(len(side), dtype=float)
+    return np.column_stack((along, side, np.arctan(np.gradient(side)), np.full(len(side), speed)))
 
 
 def speed_profile(curvature: np.ndarray, ay: float, top: float, pull: float, brake: float) -> np.ndarray:

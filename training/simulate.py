@@ -6,53 +6,32 @@ import gzip
 import io
 import json
 import os
-import platform
 from collections.abc import Callable
 from dataclasses import replace
-from importlib.metadata import version
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 from joblib import Parallel, delayed
 
 from crosscomb.errors import UsageError
-from crosscomb.models.plant import PlantParameters, make_plant
+from crosscomb.models.plant import PlantParameters
 from crosscomb.models.vehicle import Vehicle
-from crosscomb.signals import MIN_SPEED, Signals, make_signals
-from crosscomb.training.driver import CONTROL_PERIOD, RECORD, Driver, run_manoeuvre, start
-from crosscomb.training.manoeuvres import KINDS, MANOEUVRES, SLIDING
+from crosscomb.signals import Signals, make_signals
+from crosscomb.training.data_card import data_card, log_entry
+from crosscomb.training.driver import run_manoeuvre, start
+from crosscomb.training.manoeuvres import MANOEUVRES
+from crosscomb.training.presets import Job, plan_jobs
+from crosscomb.training.road import SURFACES, draw_road
 from crosscomb.training.scene import Plan, Scene
-from crosscomb.training.sensors import PERFECT, draw_faults, measure
+from crosscomb.training.schedule import CONTROL_PERIOD, RECORD, Driver
+from crosscomb.training.sensors import PERFECT, PROFILES, draw_faults, measure
+from crosscomb.training.spread import draw_driver, draw_plant
 
 STEP = 0.001
 """Integration step [s]."""
 
-MASS_SPREAD = 0.10
-STIFFNESS_SPREAD = 0.15
-SLIDE_POWER = 120.0
-SLIDE_LOCK = 80.0
-"""Least drive power [W/kg] and differential lock [N m s/rad] where the manoeuvre is a slide."""
-
-SURFACES: dict[str, tuple[float, float]] = {"dry": (0.9, 1.0), "wet": (0.55, 0.65), "snow": (0.25, 0.35)}
-"""Ranges of the friction coefficient."""
-
 CARD = "dataset.json"
 VEHICLE_FILE = "vehicle.toml"
-
-
-class Job(NamedTuple):
-    """One log of a data set: its place, manoeuvre and surface."""
-
-    number: int
-    kind: str
-    manoeuvre: str
-    surface: str
-
-    @property
-    def name(self) -> str:
-        """Name of the log."""
-        return f"{self.number:03d}_{self.manoeuvre}_{self.surface}"
 
 
 def simulate_log(
@@ -65,6 +44,7 @@ def simulate_log(
     surface: str = "dry",
     spread: bool = True,
     faults: bool = True,
+    sensors: str = "production",
     name: str | None = None,
 ) -> Signals:
     """Simulate one log.
@@ -81,97 +61,67 @@ def simulate_log(
     duration : float
         [s], at least 5.
     surface : str
-        One of `SURFACES` or ``jump``, where the friction changes suddenly.
+        One of `SURFACES`; friction changes suddenly on ``jump`` and differs left to right on ``split``.
     spread : bool
-        Draw mass within 10 % and tyre stiffness within 15 % of the vehicle's, as the car on the road differs
-        from its file.
+        Draw mass, tyres, centre of gravity, slope and bank of the road, as the car on the road differs from
+        its file; else the car of the file on a level road.
     faults : bool
-        Production sensors; else perfect ones.
+        Faulty sensors of the profile; else perfect ones.
+    sensors : str
+        Sensor profile: ``production`` or ``test``.
     name : str, optional
         Name of the log.
 
     Returns
     -------
     Signals
-        100 Hz, with production signals and ground truth.
+        100 Hz, with production signals and ground truth. Its notes say what was drawn.
 
     Raises
     ------
     UsageError
-        Unknown manoeuvre or surface, or a duration too short.
+        Unknown manoeuvre, surface or sensors, or a duration or friction out of range.
     """
-    if manoeuvre not in MANOEUVRES:
-        raise UsageError(f"{manoeuvre}: no such manoeuvre: take one of {', '.join(MANOEUVRES)}")
-    if surface not in (*SURFACES, "jump"):
-        raise UsageError(f"{surface}: no such surface: take one of {', '.join((*SURFACES, 'jump'))}")
+    _require(manoeuvre, MANOEUVRES, "manoeuvre")
+    _require(surface, SURFACES, "surface")
+    _require(sensors, PROFILES, "sensor profile")
     if not 5.0 <= duration <= 3600.0:
         raise UsageError(f"duration {duration:g} s: a simulated log lasts 5 to 3600 s")
     if friction is not None and not 0.05 <= friction <= 2.0:
         raise UsageError(f"friction {friction:g}: a friction coefficient lies between 0.05 and 2")
     rng = np.random.Generator(np.random.SFC64(np.random.SeedSequence(seed)))
-    plant = _draw_plant(vehicle, manoeuvre, rng, spread)
-    road = _draw_friction(surface, friction, round(duration / CONTROL_PERIOD), rng)
-    plan = MANOEUVRES[manoeuvre](Scene(plant, road, rng))
-    truth = run_plan(plan, plant, _draw_driver(rng))
-    sensors = draw_faults(rng) if faults else PERFECT
-    log = make_signals(measure(truth, vehicle, sensors, rng), name or manoeuvre, "simulation")
-    return replace(log, notes=(f"friction {road.min():.3f} to {road.max():.3f}",))
+    n = round(duration / CONTROL_PERIOD)
+    plant = draw_plant(vehicle, manoeuvre, rng, spread)
+    road = draw_road(vehicle, surface, friction, n, rng, level=not spread)
+    plan = MANOEUVRES[manoeuvre](Scene(plant, vehicle.plant.top_speed, road, rng))
+    truth = run_plan(plan, plant, draw_driver(rng))
+    wrong = draw_faults(rng, PROFILES[sensors], n) if faults else PERFECT
+    log = make_signals(measure(truth, vehicle, wrong, rng), name or manoeuvre, "simulation")
+    return replace(log, notes=_notes(road.grip, plant, vehicle))
 
 
-def run_plan(plan: Plan, plant: PlantParameters, driver: Driver, step: float = STEP) -> np.ndarray:
-    """Simulate a plan; returns the truth ``(n, RECORD)`` at 100 Hz, SI (columns of `training.driver`)."""
-    record = np.empty((len(plan.schedule), RECORD))
-    run_manoeuvre(start(plan.speed, plant), plan.schedule, plan.path, driver, plant, step, record)
-    return record
+def _require(name: str, known: object, what: str) -> None:
+    names = list(known)  # type: ignore[call-overload]
+    if name not in names:
+        raise UsageError(f"{name}: no such {what}: take one of {', '.join(names)}")
 
 
-def _draw_plant(vehicle: Vehicle, manoeuvre: str, rng: np.random.Generator, spread: bool) -> PlantParameters:
-    mass = 1.0 + MASS_SPREAD * rng.uniform(-1.0, 1.0) * spread
-    front, rear = 1.0 + STIFFNESS_SPREAD * rng.uniform(-1.0, 1.0, 2) * spread
-    plant = make_plant(vehicle, mass, front, rear)
-    if manoeuvre in SLIDING:
-        power = max(plant.power, SLIDE_POWER * vehicle.mass)
-        plant = plant._replace(power=power, differential_lock=max(plant.differential_lock, SLIDE_LOCK))
-    return plant
-
-
-def _draw_driver(rng: np.random.Generator) -> Driver:
-    return Driver(
-        preview=rng.uniform(0.5, 0.8),
-        steer_rate=rng.uniform(0.7, 1.2),
-        acceleration=rng.uniform(1.5, 4.0),
-        deceleration=rng.uniform(4.0, 7.0),
-        wheel_spin=rng.uniform(0.3, 0.8),
+def _notes(grip: np.ndarray, plant: PlantParameters, vehicle: Vehicle) -> tuple[str, ...]:
+    aids = {"anti-lock": plant.anti_lock, "traction control": plant.traction_control}
+    return (
+        f"friction {grip.min():.3f} to {grip.max():.3f}",
+        f"mass {plant.mass:.0f} kg, centre of gravity {plant.front:.3f} m behind the front axle",
+        f"tyre stiffness per axle {2.0 * plant.tyre_front.stiffness:.0f} "
+        f"and {2.0 * plant.tyre_rear.stiffness:.0f} N/rad",
+        f"on: {', '.join(name for name, on in aids.items() if on) or 'no driving aids'}",
     )
 
 
-def _draw_friction(surface: str, friction: float | None, n: int, rng: np.random.Generator) -> np.ndarray:
-    """Friction coefficient ``(n,)``; a jump goes to and fro between two surfaces every 5 to 12 s."""
-    if surface != "jump":
-        return np.full(n, rng.uniform(*SURFACES[surface]) if friction is None else friction)
-    high = rng.uniform(0.6, 1.0) if friction is None else friction
-    low = high * rng.uniform(0.35, 0.6)
-    road, at, slippery = np.empty(n), 0, False
-    while at < n:
-        end = at + int(rng.uniform(5.0, 12.0) / CONTROL_PERIOD)
-        road[at:end] = low if slippery else high
-        at, slippery = end, not slippery
-    return road
-
-
-def plan_jobs(logs: int) -> list[Job]:
-    """Share out a number of logs: kinds in turn, each through its manoeuvres, over changing surfaces."""
-    surfaces = ("dry", "snow", "wet", "dry", "snow", "jump")
-    kinds = list(KINDS)
-    jobs = []
-    for index in range(logs):
-        kind = kinds[index % len(kinds)]
-        turn = index // len(kinds)
-        names = list(KINDS[kind])
-        # Each round through the manoeuvres starts at another surface, so that all pairs come up.
-        surface = surfaces[(turn + turn // len(names) + index % len(kinds)) % len(surfaces)]
-        jobs.append(Job(index, kind, names[turn % len(names)], surface))
-    return jobs
+def run_plan(plan: Plan, plant: PlantParameters, driver: Driver, step: float = STEP) -> np.ndarray:
+    """Simulate a plan; returns the truth ``(n, RECORD)`` at 100 Hz, SI (columns of `training.schedule`)."""
+    record = np.empty((len(plan.schedule), RECORD))
+    run_manoeuvre(start(plan.speed, plant), plan.schedule, plan.path, driver, plant, step, record)
+    return record
 
 
 def simulate_data_set(
@@ -182,6 +132,7 @@ def simulate_data_set(
     force: bool = False,
     jobs: int = 1,
     progress: Callable[[], None] | None = None,
+    preset: str = "full",
 ) -> list[Path]:
     """Write a balanced data set: logs, the vehicle file and the data card ``dataset.json``.
 
@@ -193,13 +144,15 @@ def simulate_data_set(
     seed : int
         Log i follows from (seed, i) alone, whatever the number of jobs.
     logs : int
-        Number of logs, a third each of normal driving, driving at the limit, and slides.
+        Number of logs.
     force : bool
         Replace the logs of an earlier run in the folder.
     jobs : int
         Processes.
     progress : callable, optional
         Called after each log.
+    preset : str
+        One of `crosscomb.training.presets.PRESETS`: which manoeuvres, surfaces and sensors.
 
     Returns
     -------
@@ -209,12 +162,12 @@ def simulate_data_set(
     Raises
     ------
     UsageError
-        The folder holds logs already, or cannot be written.
+        The folder holds logs already, or cannot be written, or there is no such preset.
     """
     if logs < 1:
         raise UsageError(f"logs {logs}: ask for at least one log")
+    work = plan_jobs(vehicle, logs, preset)
     _clear(out_dir, force)
-    work = plan_jobs(logs)
     results = Parallel(n_jobs=jobs, return_as="generator")(
         delayed(_write_log)(vehicle, out_dir, seed, job) for job in work
     )
@@ -224,41 +177,26 @@ def simulate_data_set(
         if progress is not None:
             progress()
     _write(out_dir / VEHICLE_FILE, _vehicle_text(vehicle).encode())
-    card = {
-        "seed": seed,
-        "vehicle": vehicle.name,
-        "versions": {
-            "crosscomb": version("crosscomb"),
-            "numpy": np.__version__,
-            "python": platform.python_version(),
-        },
-        "spread": {"mass": MASS_SPREAD, "tyre_stiffness": STIFFNESS_SPREAD, "friction": SURFACES},
-        "logs": entries,
-    }
+    card = data_card(vehicle, seed, preset, entries)
     _write(out_dir / CARD, (json.dumps(card, indent=1) + "\n").encode())
     return [out_dir / f"{job.name}.csv.gz" for job in work]
 
 
 def _write_log(vehicle: Vehicle, out_dir: Path, seed: int, job: Job) -> dict[str, object]:
-    log = simulate_log(vehicle, job.manoeuvre, (seed, job.number), surface=job.surface, name=job.name)
+    log = simulate_log(
+        vehicle,
+        job.manoeuvre,
+        (seed, job.number),
+        duration=job.duration,
+        surface=job.surface,
+        sensors=job.profile,
+        name=job.name,
+    )
     buffer = io.BytesIO()
     with gzip.GzipFile(fileobj=buffer, mode="wb", mtime=0, compresslevel=6) as stream:
         stream.write(log.frame.to_csv(index=False, float_format="%.7g", lineterminator="\n").encode())
     _write(out_dir / f"{job.name}.csv.gz", buffer.getvalue())
-    # By total speed: a car that spun moves backwards.
-    moving = np.hypot(log.column("vx_ref"), log.column("vy_ref")) > MIN_SPEED
-    beta = np.abs(np.degrees(log.beta_ref[moving]))
-    return {
-        "log": job.name,
-        "kind": job.kind,
-        "manoeuvre": job.manoeuvre,
-        "surface": job.surface,
-        "friction": log.notes[0].removeprefix("friction "),
-        "duration_s": round(float(log.t[-1]), 2),
-        "max_beta_deg": round(float(beta.max(initial=0.0)), 2),
-        "share_beta_above_5_deg": round(float(np.mean(beta > 5.0)), 4) if beta.size else 0.0,
-        "spun": bool(beta.max(initial=0.0) > 90.0),
-    }
+    return log_entry(job, log)
 
 
 def _clear(out_dir: Path, force: bool) -> None:
