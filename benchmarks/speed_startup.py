@@ -28,7 +28,7 @@ from crosscomb.models.vehicle import load_vehicle
 from crosscomb.training.simulate import simulate_log
 particles = [entry.settings.get("particles") for entry in load_artefact().filters]
 assert 1000 in particles, "the bar is for 1,000 particles"
-log = simulate_log(load_vehicle("generic_compact"), "circuit_limit", seed=1, duration=60.0)
+log = simulate_log(load_vehicle("generic_compact"), "road_limit", seed=1, duration=60.0)
 log.frame.to_csv(sys.argv[1], index=False)
 """
 BARE, HELP, IMPORTS, ESTIMATE = (

@@ -142,6 +142,9 @@ def simulate(
     logs: Annotated[int, typer.Option("--logs", min=1, max=100_000, help="Number of logs.")] = 40,
     force: Annotated[bool, typer.Option("--force", help="Replace earlier simulated logs.")] = False,
     jobs: JobsOption = 2,
+    preset: Annotated[
+        str, typer.Option("--preset", help="full, quick (short logs) or paper (its manoeuvres, on snow).")
+    ] = "full",
 ) -> None:
     """Write labelled logs from the simulation plant."""
     from crosscomb import terminal

@@ -94,8 +94,7 @@ HOW = {
 
 def write_benchmark(path: Path, suite: str, result: Benchmark, speeds: dict[str, float]) -> None:
     """Keep the tables of a benchmark in a Markdown file, in a section of its own when there are many estimators."""
-    rmse, largest = result.evaluation.rmse, result.evaluation.largest
-    many = len(rmse.columns) > WIDE
+    many = len(result.evaluation.rmse.columns) > WIDE
     pace = markdown_table(["filter", "us per sample"], [[name, f"{us:.2f}"] for name, us in speeds.items()])
     lines = [
         f"## {'The whole catalogue' if many else 'The switch and its filters'} on {suite} logs",

@@ -45,7 +45,7 @@ UNITS: dict[str, str] = {
 WHEEL_SPEEDS = ("vfl", "vfr", "vrl", "vrr")
 TORQUES = ("torque_fl", "torque_fr", "torque_rl", "torque_rr")
 GNSS = ("gnss_speed", "gnss_course", "heading")
-"""Rare fixes: each counts once, at its own time. Course and heading count from x east (or any fixed axis) to the left."""
+"""Rare fixes: each counts once, at its own time. Course and heading count from one fixed axis, to the left."""
 
 REFERENCES = ("beta_ref", "vx_ref", "vy_ref")
 

@@ -44,7 +44,7 @@ def log(car: Vehicle) -> Signals:
 @pytest.fixture(scope="module")
 def lively(car: Vehicle) -> Signals:
     """Ten seconds of bends and slides in which the active filter changes, without standstill."""
-    return simulate_log(car, "circuit_slide", 4, surface="wet", duration=10.0)
+    return simulate_log(car, "road_slide", 4, surface="wet", duration=10.0)
 
 
 def at_rate(log: Signals, rate: float, start: float = 0.0) -> Signals:

@@ -24,9 +24,9 @@ RATE = 100.0
 
 KART = "go_kart"
 KART_TESTS = {
-    "test 1": "circuit",
+    "test 1": "lap",
     "test 2": "slalom",
-    "test 3": "circuit_limit",
+    "test 3": "lap_limit",
     "test 4": "double_lane_change",
 }
 
@@ -111,7 +111,7 @@ def atheupe_table_1() -> PaperTable:
     rows: dict[tuple[str, str], dict[str, float]] = {}
     columns = {"KF": "kinematic_kf", "PF": "random_walk_pf", "cross-combination": "crosscomb"}
     for place, seed in SNOW_LOGS.items():
-        signals = simulate_log(car, "circuit_slide", (2023, seed), surface="snow", duration=60.0)
+        signals = simulate_log(car, "road_slide", (2023, seed), surface="snow", duration=60.0)
         scores = score_log(estimate_log(signals, car, artefact))
         rows["ME", place] = {text: float(np.degrees(scores[key].max_error)) for text, key in columns.items()}
         rows["RMSE", place] = {text: float(np.degrees(scores[key].rmse)) for text, key in columns.items()}

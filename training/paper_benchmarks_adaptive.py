@@ -21,7 +21,7 @@ RATE = 100.0
 
 TRUCK = "heavy_truck_di_biase"
 TRUCK_FILTERS = {"LINT": "lint_ekf", "RATT": "ratt_ekf", "RATTE": "ratte_ekf"}
-TRUCK_LOGS = {"winding road": ("circuit", 3), "winding road at speed": ("circuit_limit", 3)}
+TRUCK_LOGS = {"winding road": ("country_road", 3), "winding road at speed": ("road_limit", 3)}
 """Name of a row to the manoeuvre and the number of logs it is the mean over."""
 
 RAMP_SPEEDS = (60.0 / 3.6, 80.0 / 3.6)
