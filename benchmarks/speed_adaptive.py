@@ -18,11 +18,13 @@ from speed_filters import KERNEL_STEPS, Pair, measure, slalom
 from crosscomb.filters.base import Estimate
 from crosscomb.filters.catalogue import make_filter
 from crosscomb.filters.reference_adaptive import (
-    reference_double_track_random_walk_ekf,
     reference_dual_ekf,
     reference_friction_adaptive_ekf,
-    reference_random_walk_ekf,
     reference_tyre_ekf,
+)
+from crosscomb.filters.reference_random_walk import (
+    reference_double_track_random_walk_ekf,
+    reference_random_walk_ekf,
 )
 from crosscomb.models.vehicle import load_vehicle
 
@@ -62,7 +64,9 @@ def make_pairs(steps: int) -> list[Pair]:
 
 def main() -> None:
     """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--repeats", type=int, default=7)
     parser.add_argument("--steps", type=int, default=600, help="samples for the slow side of each pair")
     options = parser.parse_args()

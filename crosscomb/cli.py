@@ -156,8 +156,10 @@ def simulate(
     inputs = _existing(vehicle)
     refuse_overwriting(inputs, [out_dir / "vehicle.toml"])
     with terminal.progress("simulating", logs) as advance:
-        paths = simulate_data_set(car, out_dir, seed, logs, force=force, jobs=jobs, progress=advance)
-    settings = {"vehicle": car.model_dump(), "seed": seed, "logs": logs}
+        paths = simulate_data_set(
+            car, out_dir, seed, logs, force=force, jobs=jobs, progress=advance, preset=preset
+        )
+    settings = {"vehicle": car.model_dump(), "seed": seed, "logs": logs, "preset": preset}
     write_json(out_dir / "simulate.run.json", run_record("simulate", settings, inputs))
     terminal.say(f"{out_dir}: {len(paths)} logs of {car.name}, what is in them stands in dataset.json")
 
@@ -384,9 +386,9 @@ def demo(
     from crosscomb import terminal
 
     logs, unseen, selector = output / "logs", output / "unseen", output / "selector.json"
-    simulate(logs, vehicle=None, seed=1, logs=18, force=True, jobs=2)
+    simulate(logs, vehicle=None, seed=1, logs=40, force=True, jobs=2, preset="quick")
     train(logs, output=selector, jobs=2)
-    simulate(unseen, vehicle=None, seed=2, logs=3, force=True, jobs=2)
+    simulate(unseen, vehicle=None, seed=2, logs=3, force=True, jobs=2, preset="quick")
     fresh = sorted(unseen.glob("*.csv.gz"))
     estimate(fresh, selector_file=selector, output=output / "estimates", plot=True)
     terminal.say(

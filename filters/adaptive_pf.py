@@ -29,10 +29,10 @@ SHRINK = 0.9
 
 
 class ParticleStore(NamedTuple):
-    """Room for the most particles; the first `count` of them are in use. Changed in place by the kernel."""
+    """Room for the most particles; the first `number` of them are in use. Changed in place by the kernel."""
 
-    particles: Particles  # x and scratch (6, most), of which the first 6 count numbers hold (6, count)
-    count: np.ndarray  # (1,) int64, particles in use
+    particles: Particles  # x and scratch (6, most), of which the first 6 times `number` values are in use
+    number: np.ndarray  # (1,) int64, particles in use
     least: int
     most: int
     effective: float  # wanted effective sample size
@@ -64,7 +64,7 @@ def in_use(particles, n):
 @njit(cache=True)
 def wanted(store, effective):
     """Number of particles that the effective sample size asks for."""
-    n = store.count[0]
+    n = store.number[0]
     asked = max(n * store.effective / effective, SHRINK * n)
     return int(min(max(asked, store.least), store.most))
 
@@ -81,15 +81,15 @@ def resample_to(store, used, n):
             drawn[row, i] = used.x[row, room.source[i]]
     block(room.x, n)[:, :] = drawn
     room.log_weights[:n] = 0.0
-    store.count[0] = n
+    store.number[0] = n
 
 
 @njit(cache=True)
 def adaptive_step(store, sample, car, noise, dt, out):
     """One sample; `out` ``(4,)`` gets beta, its standard deviation, NaN and the number of particles used."""
     if store.particles.running[0] == 0:
-        store.count[0] = store.most  # the first ones are spread wide
-    used = in_use(store.particles, store.count[0])
+        store.number[0] = store.most  # the first ones are spread wide
+    used = in_use(store.particles, store.number[0])
     effective = particle_answer(used, sample, car, noise, dt, out)
     out[3] = used.weights.size
     if effective < RESAMPLE_BELOW * used.weights.size:
@@ -141,7 +141,7 @@ class AdaptivePF(KernelFilter):
         )
         return ParticleStore(
             particles=particles,
-            count=np.full(1, self.most_particles),
+            number=np.full(1, self.most_particles),
             least=self.least_particles,
             most=self.most_particles,
             effective=float(self.effective),

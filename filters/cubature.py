@@ -76,9 +76,9 @@ class CubatureState(NamedTuple):
 
 def cubature_state() -> CubatureState:
     """Make an unstarted cubature filter."""
-    shapes = ((POINTS, 3), (POINTS, MEASUREMENTS), (3, 3), (3, 3), (2, MEASUREMENTS))
-    shapes += ((ROWS, POINTS + MEASUREMENTS), (ROWS, ROWS), (MEASUREMENTS,))
-    scratch = (np.zeros(shape) for shape in shapes)
+    filter_shapes = ((POINTS, 3), (POINTS, MEASUREMENTS), (3, 3), (3, 3), (2, MEASUREMENTS))
+    update_shapes = ((ROWS, POINTS + MEASUREMENTS), (ROWS, ROWS), (MEASUREMENTS,))
+    scratch = (np.zeros(shape) for shape in (*filter_shapes, *update_shapes))
     running = np.zeros(1, dtype=np.int64)
     return CubatureState(np.zeros(3), np.eye(3), np.eye(3), running, np.zeros(1), contacts(), *scratch)
 

@@ -177,6 +177,6 @@ class GnssDynamicObserver(KernelFilter):
 
     def make_state(self) -> Any:
         """Make an unstarted filter."""
-        square = [np.zeros((3, 3)) for _ in range(3)]
+        f, q, work = np.zeros((3, 3, 3))
         running = np.zeros(1, dtype=np.int64)
-        return GnssDynamic(np.zeros(3), np.eye(3), running, *square[:2], np.zeros(3), square[2])
+        return GnssDynamic(np.zeros(3), np.eye(3), running, f, q, np.zeros(3), work)

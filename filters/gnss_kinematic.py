@@ -234,8 +234,6 @@ class GnssKinematicKF(KernelFilter):
 
     def make_state(self) -> Any:
         """Make an unstarted filter."""
-        square = [np.zeros((7, 7)) for _ in range(3)]
+        f, q, work = np.zeros((3, 7, 7))
         running = np.full(1, -1, dtype=np.int64)
-        return GnssKinematic(
-            np.zeros(7), np.eye(7), running, np.zeros(1), *square[:2], np.zeros(7), square[2]
-        )
+        return GnssKinematic(np.zeros(7), np.eye(7), running, np.zeros(1), f, q, np.zeros(7), work)

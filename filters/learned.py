@@ -195,9 +195,9 @@ def parse_network(where: str, value: Any, feedback: bool) -> Network:
         raise UsageError(
             f"{where}.delay: must be {'positive' if feedback else '0'}: take the other network filter"
         )
-    hidden = tuple(tuple(row) for row in arrays["hidden"].tolist())
-    plain = {key: tuple(a.tolist()) if a.ndim else float(a) for key, a in arrays.items()}
-    return Network(**{**plain, "hidden": hidden})
+    plain: dict[str, Any] = {key: tuple(a.tolist()) if a.ndim else float(a) for key, a in arrays.items()}
+    plain["hidden"] = tuple(tuple(row) for row in arrays["hidden"].tolist())
+    return Network(**plain)
 
 
 def parse_plain_network(where: str, value: Any) -> Network:
@@ -231,10 +231,10 @@ class NeuralNetwork(KernelFilter):
     def car(self) -> Any:
         """Network and geometry as the kernels take them."""
         net = self.network
-        arrays = (np.array(part) for part in (net.mean, net.scale, net.hidden, net.hidden_bias, net.output))
         return NetworkCar(
-            self.vehicle.cg_to_front_axle, self.vehicle.cg_to_rear_axle, *arrays,
-            net.output_bias, net.beta_scale, net.largest, net.error, net.delay,
+            self.vehicle.cg_to_front_axle, self.vehicle.cg_to_rear_axle,
+            np.array(net.mean), np.array(net.scale), np.array(net.hidden), np.array(net.hidden_bias),
+            np.array(net.output), net.output_bias, net.beta_scale, net.largest, net.error, net.delay,
         )  # fmt: skip
 
     def make_state(self) -> Any:

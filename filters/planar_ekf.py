@@ -81,13 +81,24 @@ def ekf_predict(mean, cov, contact, jacobian, q, sample, car, noise, dt):
 
 
 @njit(cache=True)
-def linear_update(mean, cov, point, contact, jacobian, z, car):
-    """Update with what is measured, linearised at a point; the arrays as in `PlanarEKFState`; give the NIS.
+def update_linear(mean, cov, rows, z):
+    """Update with the measurements that are linear in the state: wheel speeds, or u, and the yaw rate.
 
     One measurement after the other, which equals the joint update as their noises are independent.
+
+    Parameters
+    ----------
+    mean, cov, z
+        As in `PlanarEKFState`; mean and cov are changed in place.
+    rows : (2, 3)
+        Of the wheel speeds.
+
+    Returns
+    -------
+    nis : float
+    measured : int
     """
     nis, measured = 0.0, 0
-    rows = contact.speed_rows
     for k in range(2):
         if math.isfinite(z[0, k]):
             innovation = z[0, k] - (rows[k, 0] * mean[0] + rows[k, 1] * mean[1] + rows[k, 2] * mean[2])
@@ -99,6 +110,13 @@ def linear_update(mean, cov, point, contact, jacobian, z, car):
     if math.isfinite(z[0, Z_YAW_RATE]):
         nis += joseph_update_3(mean, cov, 0.0, 0.0, 1.0, z[0, Z_YAW_RATE] - mean[2], z[1, Z_YAW_RATE])
         measured += 1
+    return nis, measured
+
+
+@njit(cache=True)
+def linear_update(mean, cov, point, contact, jacobian, z, car):
+    """Update with all measurements, linearised at a point; arrays as in `PlanarEKFState`; give the NIS."""
+    nis, measured = update_linear(mean, cov, contact.speed_rows, z)
     _, _, _, ax, ay = planar_jacobian(point[0], point[1], point[2], contact, car, jacobian)
     for k in range(Z_AX, Z_AY + 1):
         if math.isfinite(z[0, k]):

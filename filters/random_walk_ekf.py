@@ -104,6 +104,8 @@ def walk_start(state, sample, beta, beta_std, car, noise):
     cov[0, 0], cov[1, 1] = noise.yaw_rate**2, beta_std**2
     for i in range(2, 6):
         cov[i, i] = track.mass**2
+    # Its rows of yaw acceleration, ax and ay do not depend on the speed, which may be 0 here.
+    random_walk_jacobian(mean, 1.0, sample[STEER], sample[STEER_REAR], track, state.jacobian)
 
 
 @njit(cache=True)
@@ -206,11 +208,13 @@ def walk_step(state, sample, car, noise, dt, out):
         out[NIS] = walk_update(state, sample, car, noise, dt)
         out[BETA] = mean[1]
         out[BETA_STD] = math.sqrt(cov[1, 1])
-    vx = max(sample[VX], 0.1)
-    yaw_acceleration, _, _, ay = random_walk_rates(mean, vx, sample[STEER], sample[STEER_REAR], track)
+    yaw_acceleration, ay = 0.0, 0.0
+    for j in range(2, 6):
+        yaw_acceleration += state.jacobian[0, j] * mean[j]
+        ay += state.jacobian[3, j] * mean[j]
     out[LATERAL_FORCE] = track.mass * ay
     out[YAW_MOMENT] = track.yaw_inertia * yaw_acceleration
-    out[FRICTION_USE] = friction_use(mean[0], vx, track)
+    out[FRICTION_USE] = friction_use(mean[0], max(sample[VX], 0.0), track)
 
 
 @njit(cache=True)

@@ -277,8 +277,8 @@ def blackwell_run(state, samples, car, noise, dt, out):
 class RaoBlackwellPF(KernelFilter):
     """Rao-Blackwellised random-walk particle filter of one vehicle.
 
-    500 particles come as close to the posterior as 10,000 plain ones, in 6 % of their time, and 200 as close as some
-    5,000 (`benchmarks/speed_particles.py`).
+    500 particles come as close to the posterior as 10,000 plain ones, in 6 % of their time
+    (`benchmarks/speed_particles.py`).
     """
 
     noise: ParticleNoise = ParticleNoise()

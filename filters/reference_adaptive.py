@@ -1,4 +1,4 @@
-"""The adaptive and the random-walk filters once more, slow and plain, on filterpy's ExtendedKalmanFilter.
+"""The adaptive filters once more, slow and plain, on filterpy's ExtendedKalmanFilter.
 
 The models are the same functions, so no formula stands here twice; prediction and update are filterpy's, all
 measurements of a sample at once. Only tests and benchmarks use this module.
@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from filterpy.kalman import ExtendedKalmanFilter
@@ -15,22 +16,18 @@ from filterpy.kalman import ExtendedKalmanFilter
 from crosscomb.filters import base
 from crosscomb.filters.adaptation import Limits, excited, growth
 from crosscomb.filters.base import Estimate, Inputs
-from crosscomb.filters.double_track_random_walk_ekf import DoubleTrackRandomWalkEKF
 from crosscomb.filters.dual_ekf import DualEKF
 from crosscomb.filters.friction_adaptive_ekf import FrictionAdaptiveEKF, friction_bounds
-from crosscomb.filters.random_walk_ekf import RandomWalkEKF, friction_use
 from crosscomb.filters.tyre_adaptive_ekf import FIRST_RATES_STD, RATES, RATT, hold_rates
 from crosscomb.models.parameter_track import SLOPES_SHAPE, lateral_acceleration, parameter_track_rates
-from crosscomb.models.planar import COS, PEAK, SIDE_ARM, SIN, contacts, set_contacts
-from crosscomb.models.random_walk import random_walk_jacobian, random_walk_rates
 from crosscomb.models.single_track import SingleTrack, stable_substeps
-from crosscomb.signals import MIN_SPEED
-
-Model = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
 
 
-class _EKF(ExtendedKalmanFilter):
+class PlainEKF(ExtendedKalmanFilter):
     """filterpy's filter with a nonlinear prediction: `predict(u)` takes the predicted state itself."""
+
+    x: np.ndarray
+    P: np.ndarray
 
     def predict_x(self, u: np.ndarray) -> None:
         self.x = u
@@ -64,7 +61,7 @@ class _EKF(ExtendedKalmanFilter):
         return float(nis)
 
 
-def _walk(
+def walk_samples(
     inputs: Inputs,
     car: SingleTrack,
     start: Callable[[np.ndarray, float, float], None],
@@ -83,11 +80,12 @@ def _walk(
     return Estimate(beta=out[:, 0], beta_std=out[:, 1], nis=out[:, 2])
 
 
-def _track(sample: np.ndarray, yaw_rate: float, beta: float, parameters: np.ndarray, car: object) -> tuple:
+def _track(sample: np.ndarray, motion: np.ndarray, parameters: np.ndarray, car: Any) -> tuple:
     """Rates, ay and slopes of the single track under given tyre parameters."""
     slopes, by = np.zeros(SLOPES_SHAPE), np.zeros((4, 2))
     vx, ax, ay, _, steer, steer_rear, fxf, fxr, *_ = sample.tolist()
     ax, ay = (value if math.isfinite(value) else 0.0 for value in (ax, ay))
+    yaw_rate, beta = motion.tolist()
     rates = parameter_track_rates(
         yaw_rate, beta, vx, steer, steer_rear, fxf, fxr, ax, ay, car.law, parameters, car.track, by, slopes
     )  # fmt: skip
@@ -109,7 +107,7 @@ def reference_tyre_ekf(estimator: RATT, inputs: Inputs) -> Estimate:
     """
     noise, car, first = estimator.noise, estimator.car, estimator.make_state()
     n, fixed, limits = len(first.cov), first.mean[RATES:], first.limits
-    ekf = _EKF(dim_x=n, dim_z=2)
+    ekf = PlainEKF(dim_x=n, dim_z=2)
     ekf.x, ekf.P = first.mean[:n].copy(), first.cov.copy()
 
     def start(sample: np.ndarray, beta: float, beta_std: float) -> None:
@@ -119,7 +117,7 @@ def reference_tyre_ekf(estimator: RATT, inputs: Inputs) -> Estimate:
 
     def predict(sample: np.ndarray, h: float) -> None:
         tyres = ekf.x[RATES:] if n > RATES else fixed
-        beta_rate, yaw_acceleration, _, slopes = _track(sample, ekf.x[1], ekf.x[0], tyres, car)
+        beta_rate, yaw_acceleration, _, slopes = _track(sample, ekf.x[[1, 0]], tyres, car)
         columns = [0, 1, *range(3, 3 + n - RATES)]
         ekf.F = np.eye(n)
         ekf.F[2:4] = 0.0
@@ -142,7 +140,8 @@ def reference_tyre_ekf(estimator: RATT, inputs: Inputs) -> Estimate:
         if adapting and n > RATES:
             ekf.P[range(RATES, n), range(RATES, n)] += _growth(np.diag(ekf.P)[RATES:], limits, inputs.dt)
         ax = np.nan_to_num(sample[base.AX])
-        ay, by_beta, by_rate = lateral_acceleration(*ekf.x[:3], sample[base.VX], ax)
+        beta, yaw_rate, beta_rate = ekf.x[:3].tolist()
+        ay, by_beta, by_rate = lateral_acceleration(beta, yaw_rate, beta_rate, sample[base.VX], ax)
         h = np.zeros((2, n))
         h[0, 1] = 1.0
         h[1, :3] = by_beta, by_rate, by_rate
@@ -154,7 +153,7 @@ def reference_tyre_ekf(estimator: RATT, inputs: Inputs) -> Estimate:
             ekf.x[RATES:] = np.clip(ekf.x[RATES:], limits.least, limits.most)
         return ekf.x[0], math.sqrt(ekf.P[0, 0]), nis
 
-    return _walk(inputs, car.track, start, step)
+    return walk_samples(inputs, car.track, start, step)
 
 
 def reference_dual_ekf(estimator: DualEKF, inputs: Inputs) -> Estimate:
@@ -167,7 +166,7 @@ def reference_dual_ekf(estimator: DualEKF, inputs: Inputs) -> Estimate:
     """
     noise, car, dt, first = estimator.noise, estimator.car, inputs.dt, estimator.make_state()
     limits, sensitivity = first.limits, np.zeros((2, 4))
-    motion, tyres = _EKF(dim_x=2, dim_z=2), _EKF(dim_x=4, dim_z=2)
+    motion, tyres = PlainEKF(dim_x=2, dim_z=2), PlainEKF(dim_x=4, dim_z=2)
     tyres.x, tyres.P = first.tyres.copy(), first.tyre_cov.copy()
     swap = [1, 0]  # slopes have beta before the yaw rate, in rows and columns
 
@@ -187,7 +186,7 @@ def reference_dual_ekf(estimator: DualEKF, inputs: Inputs) -> Estimate:
         steps = stable_substeps(sample[base.VX], dt, car.track)
         for _ in range(steps):
             h = dt / steps
-            beta_rate, yaw_acceleration, _, slopes = _track(sample, *motion.x, tyres.x, car)
+            beta_rate, yaw_acceleration, _, slopes = _track(sample, motion.x, tyres.x, car)
             motion.F = np.eye(2) + h * slopes[swap][:, swap]
             motion.Q = h * (
                 np.diag(np.square([noise.yaw_acceleration, noise.slip_rate])) + np.outer(aside, aside)
@@ -195,7 +194,7 @@ def reference_dual_ekf(estimator: DualEKF, inputs: Inputs) -> Estimate:
             motion.predict(motion.x + h * np.array([yaw_acceleration, beta_rate]))
             hold_beta()
             sensitivity[:] = motion.F @ sensitivity + h * slopes[swap, 3:]
-        _, _, ay, slopes = _track(sample, *motion.x, tyres.x, car)
+        _, _, ay, slopes = _track(sample, motion.x, tyres.x, car)
         z, there = sample[[base.YAW_RATE, base.AY]], np.isfinite(sample[[base.YAW_RATE, base.AY]])
         h_matrix = np.array([[1.0, 0.0], slopes[2, swap]])
         by_tyres = (h_matrix @ sensitivity + np.array([np.zeros(4), slopes[2, 3:]]))[there]
@@ -215,7 +214,7 @@ def reference_dual_ekf(estimator: DualEKF, inputs: Inputs) -> Estimate:
         tyres.x = np.clip(tyres.x, limits.least, limits.most)
         return motion.x[1], math.sqrt(motion.P[1, 1]), nis
 
-    return _walk(inputs, car.track, start, step)
+    return walk_samples(inputs, car.track, start, step)
 
 
 def reference_friction_adaptive_ekf(estimator: FrictionAdaptiveEKF, inputs: Inputs) -> Estimate:
@@ -228,7 +227,7 @@ def reference_friction_adaptive_ekf(estimator: FrictionAdaptiveEKF, inputs: Inpu
     """
     noise, car, dt, state = estimator.noise, estimator.car, inputs.dt, estimator.make_state()
     order = [1, 0, 3]  # columns of the slopes
-    ekf = _EKF(dim_x=3, dim_z=2)
+    ekf = PlainEKF(dim_x=3, dim_z=2)
     ekf.x, ekf.P = state.mean.copy(), state.cov.copy()
 
     def start(sample: np.ndarray, beta: float, beta_std: float) -> None:
@@ -245,7 +244,7 @@ def reference_friction_adaptive_ekf(estimator: FrictionAdaptiveEKF, inputs: Inpu
         steps = stable_substeps(sample[base.VX], dt, car.track)
         for _ in range(steps):
             h = dt / steps
-            beta_rate, yaw_acceleration, _, slopes = _track(sample, *ekf.x[:2], ekf.x[2:], car)
+            beta_rate, yaw_acceleration, _, slopes = _track(sample, ekf.x[:2], ekf.x[2:], car)
             ekf.F = np.eye(3)
             ekf.F[:2] += h * slopes[[1, 0]][:, order]
             ekf.Q = h * (
@@ -255,7 +254,7 @@ def reference_friction_adaptive_ekf(estimator: FrictionAdaptiveEKF, inputs: Inpu
             ekf.x[1] = np.clip(ekf.x[1], -base.MAX_BETA, base.MAX_BETA)
         if adapting:
             ekf.P[2, 2] += growth(ekf.P[2, 2], noise.friction_walk, noise.friction_spread, dt)
-        _, _, ay, slopes = _track(sample, *ekf.x[:2], ekf.x[2:], car)
+        _, _, ay, slopes = _track(sample, ekf.x[:2], ekf.x[2:], car)
         h_matrix = np.array([[1.0, 0.0, 0.0], slopes[2, order]])
         variance = np.array([noise.yaw_rate**2, noise.ay**2 + (wrong / car.track.mass) ** 2])
         z = sample[[base.YAW_RATE, base.AY]]
@@ -264,122 +263,4 @@ def reference_friction_adaptive_ekf(estimator: FrictionAdaptiveEKF, inputs: Inpu
         friction_bounds(state._replace(mean=ekf.x), sample, car, adapting)
         return ekf.x[1], math.sqrt(ekf.P[1, 1]), nis
 
-    return _walk(inputs, car.track, start, step)
-
-
-def reference_random_walk_ekf(estimator: RandomWalkEKF, inputs: Inputs) -> Estimate:
-    """Estimate a log as `RandomWalkEKF.run` does with `slip_from` linear or free.
-
-    Parameters
-    ----------
-    estimator : RandomWalkEKF
-    inputs : Inputs
-    """
-    noise, track, dt = estimator.noise, estimator.car.track, inputs.dt
-    ekf, jacobian = _EKF(dim_x=6, dim_z=3), np.zeros((4, 6))
-    density = np.square([noise.yaw_acceleration, noise.slip_rate, *[noise.force * track.mass] * 4])
-    ekf.Q = np.diag(density * dt)
-
-    def start(sample: np.ndarray, beta: float, beta_std: float) -> None:
-        force = track.mass * np.nan_to_num(sample[base.AY]) / (track.a + track.b)
-        ekf.x = np.array(
-            [np.nan_to_num(sample[base.YAW_RATE]), beta, sample[base.FXF], sample[base.FXR],
-             force * track.b, force * track.a]
-        )  # fmt: skip
-        ekf.P = np.diag(np.square([noise.yaw_rate, beta_std, *[track.mass] * 4]))
-
-    def step(sample: np.ndarray) -> tuple[float, float, float]:
-        given = (sample[base.VX], sample[base.STEER], sample[base.STEER_REAR], track)
-        yaw_acceleration, beta_rate, _, _ = random_walk_rates(ekf.x, *given)
-        random_walk_jacobian(ekf.x, *given, jacobian)
-        ekf.F = np.eye(6)
-        ekf.F[:2] += dt * jacobian[:2]
-        ekf.predict(ekf.x + dt * np.array([yaw_acceleration, beta_rate, 0.0, 0.0, 0.0, 0.0]))
-        h = np.vstack([np.eye(6)[0], jacobian[2:]])
-        z = sample[[base.YAW_RATE, base.AX, base.AY]]
-        nis = ekf.measure(z, h @ ekf.x, h, np.square([noise.yaw_rate, noise.accel, noise.accel]))
-        row = np.array([[0.0, 0.0, 1.0, -1.0, 0.0, 0.0]])
-        split = np.array([sample[base.FXF] - sample[base.FXR]])
-        ekf.measure(split, row @ ekf.x, row, np.array([(noise.split * track.mass) ** 2]))
-        if estimator.slip_from == "linear":
-            use = friction_use(ekf.x[0], sample[base.VX], track)
-            doubt = noise.slip + abs(ekf.x[5]) / track.stiffness_rear * use
-            row = np.array([[-track.b / sample[base.VX], 1.0, 0.0, 0.0, 0.0, 1.0 / track.stiffness_rear]])
-            ekf.measure(sample[[base.STEER_REAR]], row @ ekf.x, row, np.array([doubt**2 / dt]))
-        ekf.x[1] = np.clip(ekf.x[1], -base.MAX_BETA, base.MAX_BETA)
-        return ekf.x[1], math.sqrt(ekf.P[1, 1]), nis
-
-    return _walk(inputs, track, start, step)
-
-
-def reference_double_track_random_walk_ekf(estimator: DoubleTrackRandomWalkEKF, inputs: Inputs) -> Estimate:
-    """Estimate a log as `DoubleTrackRandomWalkEKF.run` does, at the default settings or with `measured` u_r.
-
-    Parameters
-    ----------
-    estimator : DoubleTrackRandomWalkEKF
-    inputs : Inputs
-    """
-    noise, track, car, dt = estimator.noise, estimator.car.track, estimator.car.planar, inputs.dt
-    contact = contacts()
-    ekf = _EKF(dim_x=7, dim_z=3)
-
-    def sums(sample: np.ndarray) -> np.ndarray:
-        """Rows by which the wheel forces add to the force along, across, and the moment."""
-        ax, ay = np.nan_to_num(sample[[base.AX, base.AY]])
-        angles_and_forces = sample[[base.STEER, base.STEER_REAR, base.FXF, base.FXR]]
-        set_contacts(contact, *angles_and_forces, ax, ay, car)
-        wheels = contact.wheels
-        return np.stack([-wheels[:, SIN], wheels[:, COS], wheels[:, SIDE_ARM]])
-
-    def axle_noise(variance: float) -> np.ndarray:
-        grip = contact.wheels[:, PEAK]
-        share = np.concatenate([grip[:2] / grip[:2].sum(), grip[2:] / grip[2:].sum()])
-        same_axle = np.kron(np.eye(2), np.ones((2, 2)))
-        cov = np.zeros((7, 7))
-        cov[3:, 3:] = np.outer(share, share) * same_axle * variance
-        return cov
-
-    def start(sample: np.ndarray, beta: float, beta_std: float) -> None:
-        sums(sample)
-        u = max(sample[base.VX], MIN_SPEED)
-        ekf.x = np.array([u, u * math.tan(beta), np.nan_to_num(sample[base.YAW_RATE]), 0.0, 0.0, 0.0, 0.0])
-        ekf.P = axle_noise(car.mass**2)
-        ekf.P[:3, :3] = np.diag(np.square([noise.speed, u * beta_std, noise.yaw_rate]))
-
-    def step(sample: np.ndarray) -> tuple[float, float, float]:
-        rows = sums(sample)
-        per = np.array([car.mass, car.mass, car.yaw_inertia])
-        u, v, r, *forces = ekf.x
-        x, y, moment = (contact.known + rows @ forces) / per
-        ekf.F = np.eye(7)
-        ekf.F[:2, :3] += dt * np.array([[0.0, r, v], [-r, 0.0, -u]])
-        ekf.F[:3, 3:] = dt * rows / per[:, None]
-        ekf.Q = axle_noise((noise.force * car.mass) ** 2 * dt)
-        ekf.Q[:3, :3] = dt * np.diag(np.square([noise.accel, noise.accel, noise.yaw_acceleration]))
-        ekf.predict(ekf.x + dt * np.array([v * r + x, -u * r + y, moment, 0.0, 0.0, 0.0, 0.0]))
-        ekf.x[0] = max(ekf.x[0], MIN_SPEED)
-        h = np.zeros((3, 7))
-        h[0, 0] = h[1, 2] = 1.0
-        h[2, 3:] = rows[1] / car.mass
-        expected = h @ ekf.x + [0.0, 0.0, contact.known[1] / car.mass]
-        z = sample[[base.VX, base.YAW_RATE, base.AY]]
-        if sample[base.VX_HELD]:
-            z[0] = math.nan
-        if estimator.measured == "u_r":
-            z[2] = math.nan
-        nis = ekf.measure(z, expected, h, np.square([noise.speed, noise.yaw_rate, noise.ay]))
-        u, v, r = ekf.x[:3]
-        slip = (ekf.x[5] + ekf.x[6]) / track.stiffness_rear
-        doubt = noise.slip + abs(slip) * friction_use(r, u, track)
-        row = np.array(
-            [[(track.b * r - v) / u**2, 1.0 / u, -track.b / u, 0.0, 0.0, *[1.0 / track.stiffness_rear] * 2]]
-        )
-        expected = np.array([slip + (v - track.b * r) / u])
-        ekf.measure(sample[[base.STEER_REAR]], expected, row, np.array([doubt**2 / dt]))
-        ekf.x[0] = max(ekf.x[0], MIN_SPEED)
-        u, v = ekf.x[:2]
-        gradient = np.array([-v, u]) / (u**2 + v**2)
-        return math.atan2(v, u), math.sqrt(gradient @ ekf.P[:2, :2] @ gradient), nis
-
-    return _walk(inputs, track, start, step)
+    return walk_samples(inputs, car.track, start, step)

@@ -153,8 +153,9 @@ def reference_gnss_dynamic_observer(estimator: GnssDynamicObserver, inputs: Inpu
     def model(sample: np.ndarray) -> tuple[np.ndarray, float, np.ndarray]:
         """Rates (2,), expected ay and the Jacobian (4, 2) of the rates, ax and ay at the filter's state."""
         vx, ax, ay, _, steer, steer_rear, fxf, fxr, *_ = sample.tolist()
+        yaw_rate, beta = ekf.x[:2].tolist()
         rates, (_, expected_ay), jacobian = single_track_rates(
-            *ekf.x[:2].tolist(), vx, steer, steer_rear, fxf, fxr, ax, ay, car
+            yaw_rate, beta, vx, steer, steer_rear, fxf, fxr, ax, ay, car
         )
         return np.array(rates), expected_ay, np.array(jacobian).reshape(2, 4).T
 

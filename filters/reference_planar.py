@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from filterpy.kalman import CubatureKalmanFilter, ExtendedKalmanFilter, UnscentedKalmanFilter
@@ -46,7 +47,14 @@ class _Model:
     def __init__(self, estimator: PlanarFilter, dt: float, plain: bool) -> None:
         self.car, self.noise, self.dt = estimator.car, estimator.noise, dt
         self.contact = contacts()
-        functions = (set_sample, planar_rates, planar_jacobian, planar_hessian, planar_move, expect)
+        functions: tuple[Any, ...] = (
+            set_sample,
+            planar_rates,
+            planar_jacobian,
+            planar_hessian,
+            planar_move,
+            expect,
+        )
         self._set, self._rates, self._jacobian, self._hessian, self._move, self._expect = (
             function.py_func if plain else function for function in functions
         )
@@ -310,4 +318,5 @@ def _run(estimator: PlanarFilter, inputs: Inputs, plain: bool, predict: Predict,
         x = _clipped(x)
         return *_beta(x, p), nis
 
-    return _walk(inputs, estimator.car, begin, step)
+    car: Any = estimator.car  # has the wheelbase that `_walk` needs
+    return _walk(inputs, car, begin, step)

@@ -21,24 +21,20 @@ import numpy as np
 from numba import njit
 
 from crosscomb.filters.base import NIS
-from crosscomb.filters.dense import joint_update, propagate_3
+from crosscomb.filters.dense import joseph_update_3, propagate_3
 from crosscomb.filters.planar import (
-    MEASUREMENTS,
     Z_AX,
     Z_AY,
-    Z_U,
-    Z_YAW_RATE,
     PlanarFilter,
     answer,
     begin,
     clip_state,
-    expect,
     read_measurements,
     set_process_noise,
     set_sample,
     substeps,
 )  # fmt: skip
-from crosscomb.filters.planar_ekf import PlanarEKFState, ekf_state
+from crosscomb.filters.planar_ekf import PlanarEKFState, ekf_state, update_linear
 from crosscomb.models.planar import planar_hessian, planar_jacobian
 
 
@@ -46,14 +42,8 @@ class SecondOrderState(NamedTuple):
     """A planar EKF with scratch for the second-order terms, changed in place."""
 
     ekf: PlanarEKFState
-    rows: np.ndarray  # (6, 3) measurement matrix
-    expected: np.ndarray  # (6,)
     hessian: np.ndarray  # (5, 3, 3)
     product: np.ndarray  # (5, 3, 3) Hessians times covariance
-    s: np.ndarray  # (6, 6) covariance of the innovation
-    factor: np.ndarray  # (6, 6)
-    cross: np.ndarray  # (6, 3)
-    innovation: np.ndarray  # (6,)
 
 
 @njit(cache=True)
@@ -68,12 +58,6 @@ def curvature_terms(state, first, count, car):
                 for k in range(3):
                     total += state.hessian[a, i, k] * cov[k, j]
                 state.product[a, i, j] = total
-
-
-@njit(cache=True)
-def is_curved(k):
-    """Tell whether measurement k is nonlinear in the state."""
-    return k in (Z_AX, Z_AY)
 
 
 @njit(cache=True)
@@ -113,51 +97,47 @@ def second_order_predict(state, sample, car, noise, dt):
 
 
 @njit(cache=True)
-def linearise(state, car):
-    """Set expected measurements and measurement matrix at the mean."""
-    mean, contact, jacobian, rows = state.ekf.mean, state.ekf.contact, state.ekf.jacobian, state.rows
-    _, _, _, ax, ay = planar_jacobian(mean[0], mean[1], mean[2], contact, car, jacobian)
-    expect(mean, ax, ay, contact, state.expected)
-    for j in range(3):
-        rows[0, j], rows[1, j] = contact.speed_rows[0, j], contact.speed_rows[1, j]
-        rows[Z_AX, j], rows[Z_AY, j] = jacobian[3, j], jacobian[4, j]
-    rows[Z_YAW_RATE, 2] = 1.0
-    rows[Z_U, 0] = 1.0
+def second_order_update(state, sample, car, noise):
+    """Update with what is measured, to second order; give the NIS.
+
+    The curvature of ax and ay is noise to the update, common to both. It is the joint update, written as one
+    measurement after the other: ay less the part of its noise that ax explains.
+    """
+    ekf, product = state.ekf, state.product
+    mean, cov, z, jacobian, point = ekf.mean, ekf.cov, ekf.z, ekf.jacobian, ekf.point
+    read_measurements(sample, car, noise, z[0], z[1])
+    for i in range(3):
+        point[i] = mean[i]
+    _, _, _, ax, ay = planar_jacobian(point[0], point[1], point[2], ekf.contact, car, jacobian)
+    curvature_terms(state, Z_AX, 2, car)
+    left_x = z[0, Z_AX] - ax - 0.5 * trace_of(product, Z_AX)
+    left_y = z[0, Z_AY] - ay - 0.5 * trace_of(product, Z_AY)
+    variance_x = z[1, Z_AX] + 0.5 * trace_of_pair(product, Z_AX, Z_AX)
+    variance_y = z[1, Z_AY] + 0.5 * trace_of_pair(product, Z_AY, Z_AY)
+    common = 0.5 * trace_of_pair(product, Z_AX, Z_AY)
+    nis, measured = update_linear(mean, cov, ekf.contact.speed_rows, z)
+    share = 0.0
+    if math.isfinite(left_x):
+        nis += update_row(mean, cov, point, jacobian, 1.0, 0.0, left_x, variance_x)
+        share = common / variance_x
+        left_y -= share * left_x
+        variance_y -= share * common
+        measured += 1
+    if math.isfinite(left_y):
+        nis += update_row(mean, cov, point, jacobian, -share, 1.0, left_y, variance_y)
+        measured += 1
+    clip_state(mean)
+    return nis if measured > 0 else math.nan
 
 
 @njit(cache=True)
-def second_order_update(state, sample, car, noise):
-    """Update with what is measured at once, to second order; give the NIS."""
-    ekf, s, cross = state.ekf, state.s, state.cross
-    cov, z, rows = ekf.cov, ekf.z, state.rows
-    read_measurements(sample, car, noise, z[0], z[1])
-    linearise(state, car)
-    curvature_terms(state, 3, 2, car)
-    m = 0
-    for k in range(MEASUREMENTS):
-        if not math.isfinite(z[0, k]):
-            continue
-        state.innovation[m] = z[0, k] - state.expected[k]
-        if is_curved(k):
-            state.innovation[m] -= 0.5 * trace_of(state.product, k)
-        for i in range(3):
-            cross[m, i] = rows[k, 0] * cov[0, i] + rows[k, 1] * cov[1, i] + rows[k, 2] * cov[2, i]
-        column = 0
-        for j in range(k + 1):
-            if not math.isfinite(z[0, j]):
-                continue
-            total = cross[m, 0] * rows[j, 0] + cross[m, 1] * rows[j, 1] + cross[m, 2] * rows[j, 2]
-            if is_curved(k) and is_curved(j):
-                total += 0.5 * trace_of_pair(state.product, k, j)
-            s[m, column] = total
-            column += 1
-        s[m, m] += z[1, k]
-        m += 1
-    if m == 0:
-        return math.nan
-    nis = joint_update(ekf.mean, cov, cross, s, state.innovation, m, state.factor)
-    clip_state(ekf.mean)
-    return nis
+def update_row(mean, cov, point, jacobian, a, b, left, variance):
+    """Update with a ax + b ay, linearised at a point where its innovation is `left`; give the NIS."""
+    h0 = a * jacobian[Z_AX, 0] + b * jacobian[Z_AY, 0]
+    h1 = a * jacobian[Z_AX, 1] + b * jacobian[Z_AY, 1]
+    h2 = a * jacobian[Z_AX, 2] + b * jacobian[Z_AY, 2]
+    left -= h0 * (mean[0] - point[0]) + h1 * (mean[1] - point[1]) + h2 * (mean[2] - point[2])
+    return joseph_update_3(mean, cov, h0, h1, h2, left, variance)
 
 
 @njit(cache=True)
@@ -188,5 +168,4 @@ class SecondOrderEKF(PlanarFilter):
 
     def make_state(self) -> SecondOrderState:
         """Make the kernels' state before the first sample."""
-        shapes = ((6, 3), (6,), (5, 3, 3), (5, 3, 3), (6, 6), (6, 6), (6, 3), (6,))
-        return SecondOrderState(ekf_state(), *(np.zeros(shape) for shape in shapes))
+        return SecondOrderState(ekf_state(), np.zeros((5, 3, 3)), np.zeros((5, 3, 3)))

@@ -342,7 +342,7 @@ def test_with_equal_limits_the_adaptive_filter_is_the_plain_one() -> None:
 
 def test_the_number_of_particles_follows_the_need_between_its_limits() -> None:
     samples = slalom(600).samples
-    samples[300:, AY] += np.where(np.arange(300) // 10 % 2, 5.0, -5.0)  # forces come and go
+    samples[300:, AY] += np.where(np.arange(300) // 10 % 2, 3.0, -3.0)  # forces come and go
     estimator = AdaptivePF(GOLF, effective=200, least_particles=300, most_particles=4000)
     count = estimator.run(Inputs(DT, samples)).extra["particles [1]"]
     assert count[1] == 4000, "the first particles are spread wide"

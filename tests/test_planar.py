@@ -57,7 +57,7 @@ def test_magic_formula_derivatives(slip: float) -> None:
     step = 1e-5
     (low, slope_low), (high, slope_high) = (magic_formula(slip + s, B, C, D, E) for s in (-step, step))
     slope, bend = magic_formula_bend(slip, B, C, D, E)
-    assert slope == magic_formula(slip, B, C, D, E)[1]
+    assert slope == pytest.approx(magic_formula(slip, B, C, D, E)[1], rel=1e-12)
     assert slope == pytest.approx((high - low) / (2 * step), rel=1e-6, abs=1e-3)
     assert bend == pytest.approx((slope_high - slope_low) / (2 * step), rel=1e-5, abs=1e-1)
 

@@ -291,7 +291,7 @@ def matched_drive(rng: np.random.Generator, steps: int) -> tuple[np.ndarray, np.
 
 def test_errors_are_as_large_as_the_filter_says() -> None:
     """Its own step would take the EKF's beta as measurement; here it is one that has the error it expects."""
-    rng, drives, steps = np.random.default_rng(12), 80, 49
+    rng, drives, steps = np.random.default_rng(12), 60, 49
     estimator = RaoBlackwellPF(GOLF, particles=500)
     nees, nees_beta, nis = np.zeros((drives, 4)), np.zeros((drives, 4)), 0.0
     for drive in range(drives):

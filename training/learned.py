@@ -23,8 +23,9 @@ from crosscomb.models.vehicle import load_vehicle
 from crosscomb.prepare import complete
 from crosscomb.resample import resample
 from crosscomb.training.metrics import countable
+from crosscomb.training.presets import plan_jobs
 from crosscomb.training.recordings import Recording
-from crosscomb.training.simulate import plan_jobs, simulate_log
+from crosscomb.training.simulate import simulate_log
 
 HIDDEN = 10
 """Neurons of the hidden layer, as in Chindamo et al. 2018."""
@@ -77,19 +78,20 @@ def training_rows(
     beta : (n,) [rad]
     """
     rng, back = np.random.default_rng(seed), max(round(FEEDBACK_DELAY * rate), 1)
-    rows, truth = [], []
+    rows: list[np.ndarray] = []
+    truth: list[np.ndarray] = []
     for recording in recordings:
-        for inputs, beta, counted in segments(recording, rate):
-            table = inputs.samples[:, COLUMNS]
+        for run, beta, counted in segments(recording, rate):
+            table = run.samples[:, COLUMNS]
             if feedback:
                 before = np.concatenate([np.full(back, np.nan), beta])[: len(beta)]
                 table = np.column_stack([table, before + rng.normal(0.0, FEEDBACK_NOISE, len(beta))])
             good = counted & np.isfinite(table).all(axis=1) & (np.abs(beta) < LARGEST_BETA)
             rows.append(table[good][::STRIDE])
             truth.append(beta[good][::STRIDE])
-    inputs, beta = np.concatenate(rows), np.concatenate(truth)
-    mirror = np.array([-1.0, -1.0, -1.0, 1.0, -1.0])[: inputs.shape[1]]
-    return np.concatenate([inputs, mirror * inputs]), np.concatenate([beta, -beta])
+    table, beta = np.concatenate(rows), np.concatenate(truth)
+    mirror = np.array([-1.0, -1.0, -1.0, 1.0, -1.0])[: table.shape[1]]
+    return np.concatenate([table, mirror * table]), np.concatenate([beta, -beta])
 
 
 def fit_regressor(inputs: np.ndarray, beta: np.ndarray, hidden: int = HIDDEN, seed: int = 0) -> MLPRegressor:
@@ -172,7 +174,7 @@ def simulated_recordings(
     recordings = []
     for number, name in enumerate(vehicles):
         vehicle = load_vehicle(name)
-        for job in plan_jobs(logs):
+        for job in plan_jobs(vehicle, logs):
             log = simulate_log(
                 vehicle, job.manoeuvre, (seed, number, job.number), surface=job.surface, duration=duration
             )

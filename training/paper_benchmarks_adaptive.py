@@ -21,7 +21,7 @@ RATE = 100.0
 
 TRUCK = "heavy_truck_di_biase"
 TRUCK_FILTERS = {"LINT": "lint_ekf", "RATT": "ratt_ekf", "RATTE": "ratte_ekf"}
-TRUCK_LOGS = {"winding road": ("country_road", 3), "winding road at speed": ("road_limit", 3)}
+TRUCK_LOGS = {"winding road": ("country_road", 6), "winding road at the limit": ("road_limit", 6)}
 """Name of a row to the manoeuvre and the number of logs it is the mean over."""
 
 RAMP_SPEEDS = (60.0 / 3.6, 80.0 / 3.6)
@@ -89,14 +89,18 @@ def di_biase_table_3(seed: int = 2020, duration: float = 120.0) -> PaperTable:
         scores = [_score_truck(truck, manoeuvre, (seed, place, k), duration) for k in range(logs)]
         rows[row] = {name: float(np.mean([score[name] for score in scores])) for name in TRUCK_FILTERS}
     table = pd.DataFrame.from_dict(rows, orient="index")[list(TRUCK_FILTERS)]
-    ranking = list(table.mean().sort_values().index)
-    agrees = ranking == ["RATTE", "RATT", "LINT"]
-    wins = "RATTE wins as published" if ranking[0] == "RATTE" else "RATTE does not win here, unlike published"
-    return PaperTable(
-        table,
-        f"{wins}: our ranking is {', '.join(ranking)}, "
-        f"{'the same as' if agrees else 'not'} the paper's RATTE, RATT, LINT.",
-    )
+    return PaperTable(table, _truck_verdict(table))
+
+
+def _truck_verdict(table: pd.DataFrame) -> str:
+    """Say where RATTE has the lowest RMSE, as published, and where not."""
+    orders = {str(row): list(scores.sort_values().index) for row, scores in table.iterrows()}
+    wins = [row for row, order in orders.items() if order[0] == "RATTE"]
+    told = "; ".join(f"{row}: {', '.join(order)}" for row, order in orders.items())
+    start = "RATTE wins as published" if len(wins) == len(orders) else "Unlike published, RATTE does not win"
+    if wins and len(wins) < len(orders):
+        start = f"RATTE wins as published on the {wins[0]}, not elsewhere"
+    return f"{start} (paper: RATTE, RATT, LINT; {told})."
 
 
 def _score_truck(truck: Vehicle, manoeuvre: str, seed: tuple[int, ...], duration: float) -> dict[str, float]:
@@ -140,7 +144,7 @@ def pieralice_figure_2(seed: int = 2018) -> PaperTable:
             rows[name][f"RMSE, {kmh}"] = _rms_deg(error)
             rows[name][f"largest, {kmh}"] = float(np.degrees(np.abs(smooth).max()))
     table = pd.DataFrame.from_dict(rows, orient="index")
-    largest = table[[column for column in table if column.startswith("largest")]].max(axis=1)
+    largest = table[[column for column in table if str(column).startswith("largest")]].max(axis=1)
     within = [name for name in RAMP_FILTERS if name.startswith("EKF+RW") and largest[name] <= RAMP_BAR]
     missed = [name for name in RAMP_FILTERS if name.startswith("EKF+RW") and largest[name] > RAMP_BAR]
     better = largest[list(RAMP_FILTERS)[1:]].min() < largest["EKF"]

@@ -1,0 +1,109 @@
+"""What every estimator of the catalogue must do, whatever it is."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from crosscomb.errors import UsageError
+from crosscomb.filters.base import SAMPLE_WIDTH, make_inputs
+from crosscomb.filters.catalogue import CATALOGUE, make_filter, settings_of
+from crosscomb.logs import read_log
+from crosscomb.models.vehicle import load_vehicle
+from crosscomb.prepare import complete
+from crosscomb.resample import resample
+from crosscomb.signals import MIN_SPEED
+from crosscomb.training.simulate import simulate_log
+
+CAR = load_vehicle("generic_compact")
+DEAR = {"random_walk_pf", "adaptive_pf", "dynamic_pf", "kinematic_pf"}
+"""Particle filters run with fewer particles here: it is their conduct that is tested."""
+
+
+def quick(name, car=CAR):
+    """Make an estimator that does not hold up the tests."""
+    settings = (
+        {"particles": 200} if name in DEAR and "particles" in settings_of(make_filter(name, car)) else {}
+    )
+    return make_filter(name, car, settings)
+
+
+@pytest.fixture(scope="module")
+def inputs():
+    """Samples of a lively log with holes in every channel, a stop and a start."""
+    log = complete(simulate_log(CAR, "double_lane_change", seed=5, surface="wet", duration=12.0), CAR)
+    samples = make_inputs(resample(log, 100.0)[0].signals, CAR, 0.01)
+    table = samples.samples.copy()
+    rng = np.random.default_rng(1)
+    for column in (1, 2, 3):  # ax, ay, yaw rate
+        table[rng.random(len(table)) < 0.02, column] = np.nan
+    table[400:500, 1:4] = np.nan
+    table[700:760, 0] = 0.5
+    return replace(samples, samples=table)
+
+
+@pytest.mark.parametrize("name", CATALOGUE)
+def test_steps_equal_the_batch_and_nothing_is_changed(name, inputs):
+    estimator = quick(name)
+    before = inputs.samples.copy()
+    batch = estimator.run(inputs)
+    started = estimator.start(inputs.dt)
+    steps = np.array([estimator.step(started, sample) for sample in inputs.samples])
+    np.testing.assert_array_equal(steps.T, [batch.beta, batch.beta_std, batch.nis])
+    np.testing.assert_array_equal(inputs.samples, before)
+    assert set(batch.extra) == set(estimator.extras)
+
+
+@pytest.mark.parametrize("name", CATALOGUE)
+def test_answers_are_finite_and_std_is_positive(name, inputs):
+    estimate = quick(name).run(inputs)
+    assert np.isfinite(estimate.beta).all()
+    assert np.isfinite(estimate.beta_std).all()
+    assert (estimate.beta_std > 0.0).all()
+    nothing = replace(inputs, samples=np.full((50, SAMPLE_WIDTH), np.nan))
+    nothing.samples[:, [0, 4, 5, 6, 7, 8, 9]] = 0.0  # what make_inputs always fills
+    assert np.isfinite(quick(name).run(nothing).beta).all()
+
+
+@pytest.mark.parametrize("name", CATALOGUE)
+def test_settings_survive_a_json_file(name):
+    estimator = make_filter(name, CAR)
+    read = json.loads(json.dumps(settings_of(estimator)))
+    assert make_filter(name, CAR, read) == estimator
+    with pytest.raises(UsageError, match="unknown setting"):
+        make_filter(name, CAR, {"no_such_setting": 1.0})
+
+
+@pytest.mark.parametrize("name", CATALOGUE)
+def test_every_entry_says_what_it_is_and_where_it_is_from(name):
+    entry = CATALOGUE[name]
+    assert len(entry.summary) > 20
+    assert entry.source
+    assert (entry.make.__doc__ or "").strip()
+
+
+def real_logs(folder):
+    """Recordings with the vehicle file beside them, else the generic car."""
+    for path in sorted(folder.glob("*/*.csv*")):
+        beside = path.with_name("vehicle.toml")
+        yield path, load_vehicle(beside) if beside.exists() else CAR
+
+
+def test_all_are_bounded_on_every_real_recording(data_dir):
+    """Finite everywhere; no estimator runs away: RMSE below 30 deg where beta itself stays below 20 deg."""
+    for path, car in real_logs(data_dir):
+        signals = complete(read_log(path), car)
+        for segment in resample(signals, 100.0):
+            window = slice(0, 6000)  # a minute tells; the longest log has six
+            inputs = make_inputs(segment.signals, car, 0.01)
+            inputs = replace(inputs, samples=inputs.samples[window])
+            beta_ref = segment.signals.beta_ref[window]
+            counted = np.isfinite(beta_ref) & (inputs.samples[:, 0] > MIN_SPEED)
+            for name in CATALOGUE:
+                beta = quick(name, car).run(inputs).beta
+                assert np.isfinite(beta).all(), (path.name, name)
+                assert np.abs(beta).max() < np.pi, (path.name, name)
+                if counted.any():
+                    rmse = np.degrees(np.sqrt(np.mean((beta - beta_ref)[counted] ** 2)))
+                    assert rmse < 30.0, (path.name, name, rmse)

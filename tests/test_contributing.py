@@ -1,0 +1,60 @@
+"""The example estimator of CONTRIBUTING.md works as it stands there."""
+
+import importlib.util
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from crosscomb.artefact import load_artefact
+from crosscomb.estimate import estimate_log
+from crosscomb.filters import catalogue
+from crosscomb.filters.base import make_inputs
+from crosscomb.models.vehicle import load_vehicle
+from crosscomb.prepare import complete
+from crosscomb.resample import resample
+from crosscomb.training.simulate import simulate_log
+
+TEXT = (Path(__file__).resolve().parents[1] / "CONTRIBUTING.md").read_text(encoding="utf-8")
+BLOCKS = re.findall(r"```python\n(.*?)```", TEXT, flags=re.DOTALL)
+
+
+@pytest.fixture
+def example(tmp_path, monkeypatch):
+    """Make the module of the example, and put its line into the catalogue."""
+    file = tmp_path / "steady_state.py"
+    file.write_text(BLOCKS[0], encoding="utf-8")
+    spec = importlib.util.spec_from_file_location("steady_state", file)
+    module = importlib.util.module_from_spec(spec)
+    monkeypatch.setitem(__import__("sys").modules, "steady_state", module)
+    spec.loader.exec_module(module)
+    line = BLOCKS[1].strip().rstrip(",")
+    entry = eval("{" + line + "}", {"Entry": catalogue.Entry, "SteadyState": module.SteadyState})
+    for name, value in entry.items():
+        monkeypatch.setitem(catalogue.CATALOGUE, name, value)
+    return next(iter(entry))
+
+
+def test_example_is_short_and_estimates_steady_cornering(example):
+    assert len(BLOCKS[0].splitlines()) <= 48
+    car = load_vehicle("generic_compact")
+    log = simulate_log(car, "circle", seed=3, duration=20.0, spread=False, faults=False)
+    segment = resample(complete(log, car), 100.0)[0].signals
+    estimator = catalogue.make_filter(example, car)
+    inputs = make_inputs(segment, car, 0.01)
+    estimate = estimator.run(inputs)
+    late = segment.t > 15.0
+    assert np.degrees(np.abs(segment.beta_ref[late])).mean() > 0.5
+    assert np.degrees(np.sqrt(np.mean((estimate.beta - segment.beta_ref)[late] ** 2))) < 0.5
+    started = estimator.start(0.01)
+    steps = np.array([estimator.step(started, sample) for sample in inputs.samples])
+    np.testing.assert_array_equal(steps[:, 0], estimate.beta)
+
+
+def test_example_is_taken_by_name_in_an_estimate(example):
+    car = load_vehicle("generic_compact")
+    log = simulate_log(car, "slalom", seed=3, duration=10.0)
+    result = estimate_log(log, car, load_artefact(), [example])
+    assert list(result.filters) == [example]
+    np.testing.assert_array_equal(result.beta, result.filters[example])
