@@ -12,8 +12,9 @@ import pytest
 
 from crosscomb.models.vehicle import Vehicle, load_vehicle
 from crosscomb.signals import Signals
+from crosscomb.training.presets import plan_jobs
 from crosscomb.training.recordings import Recording, read_recordings
-from crosscomb.training.simulate import plan_jobs, simulate_log
+from crosscomb.training.simulate import simulate_log
 
 PROJECT = Path(__file__).resolve().parents[1]
 LOGS = 10
@@ -39,7 +40,7 @@ def simulated(car: Vehicle) -> list[Signals]:
     """A few short logs of every kind of driving, at 100 Hz and with ground truth."""
     return [
         simulate_log(car, job.manoeuvre, (5, job.number), surface=job.surface, duration=15.0, name=job.name)
-        for job in plan_jobs(LOGS)
+        for job in plan_jobs(car, LOGS)
     ]
 
 

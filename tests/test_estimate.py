@@ -42,9 +42,15 @@ def log(car: Vehicle) -> Signals:
 
 
 @pytest.fixture(scope="module")
-def lively(car: Vehicle) -> Signals:
-    """Ten seconds of bends and slides in which the active filter changes, without standstill."""
-    return simulate_log(car, "road_slide", 4, surface="wet", duration=10.0)
+def lively(car: Vehicle, artefact: Artefact) -> Signals:
+    """Ten seconds of bends and slides in which the active filter changes, without standstill or lost samples."""
+    for seed in range(30):
+        log = simulate_log(car, "road_slide", seed, surface="wet", duration=10.0)
+        slid = np.degrees(np.abs(log.beta_ref)).max()
+        whole = bool(log.frame.notna().all(axis=None)) and log.column("vx").min() > 5.0
+        if whole and 8.0 < slid < 30.0 and len(set(estimate_log(log, car, artefact).active)) > 1:
+            return log
+    raise AssertionError("no such log among the simulated ones")
 
 
 def at_rate(log: Signals, rate: float, start: float = 0.0) -> Signals:

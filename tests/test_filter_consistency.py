@@ -27,9 +27,9 @@ from crosscomb.filters.random_walk_pf import (
     RandomWalkPF,
     move_and_weigh,
     normalise,
-    systematic_resample,
     weighted_beta,
 )
+from crosscomb.filters.resampling import resample
 from crosscomb.models.kinematic import input_gain, rotation, slip_of_rolling_rear
 from crosscomb.models.random_walk import random_walk_rates
 from crosscomb.models.single_track import single_track_rates, stable_substeps
@@ -190,7 +190,7 @@ def particle_consistency(estimator: RandomWalkPF) -> bool:
                 beta, beta_std = weighted_beta(particles)
                 nees[instants.index(k)] += ((truth[k, 1] - beta) / beta_std) ** 2
             if effective < 0.5 * estimator.particles:
-                systematic_resample(particles)
+                resample(particles)
     return within_bounds(nees, PARTICLE_RUNS)
 
 

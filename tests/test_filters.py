@@ -36,13 +36,13 @@ from crosscomb.filters.random_walk_pf import (
     first_particles,
     move_and_weigh,
     sin_cos,
-    systematic_resample,
 )
 from crosscomb.filters.reference import (
     reference_dynamic_ekf,
     reference_kinematic_kf,
     reference_random_walk_pf,
 )
+from crosscomb.filters.resampling import resample
 from crosscomb.models.kinematic import input_gain, rotation, slip_of_rolling_rear
 from crosscomb.models.random_walk import random_walk_rates
 from crosscomb.models.single_track import FRICTION_MARGIN, single_track, single_track_rates, stable_substeps
@@ -279,7 +279,7 @@ def test_resampling_copies_particles_by_their_weights() -> None:
     weights = np.random.default_rng(2).exponential(size=n) ** 3
     particles.weights[:] = weights / weights.sum()
     particles.x[:] = np.arange(n) + 1000.0 * np.arange(6)[:, None]
-    systematic_resample(particles)
+    resample(particles)
     copies = np.bincount(particles.x[0].astype(int), minlength=n)
     assert np.all(np.abs(copies - n * weights / weights.sum()) < 1.0), "systematic: never off by a whole copy"
     np.testing.assert_array_equal(particles.x - particles.x[0], 1000.0 * np.arange(6)[:, None] + np.zeros(n))
@@ -455,6 +455,38 @@ def without(signals: Signals, channel: str, start: int, stop: int) -> Signals:
     return signals.with_columns(**{channel: values})
 
 
+def test_inputs_hold_what_models_need_and_say_so() -> None:
+    samples = make_inputs(without(without(log(20), "vx", 5, 9), "steer", 0, 3), GOLF, DT).samples
+    whole = make_inputs(log(20), GOLF, DT).samples
+    np.testing.assert_array_equal(samples[5:9, VX], whole[4, VX])
+    np.testing.assert_array_equal(samples[:3, STEER], 0.0)
+    np.testing.assert_array_equal(np.flatnonzero(samples[:, VX_HELD]), range(5, 9))
+    np.testing.assert_array_equal(np.flatnonzero(samples[:, STEER_HELD]), range(3))
+    np.testing.assert_array_equal(whole[:, [VX_HELD, STEER_HELD]], 0.0)
+    assert np.isnan(make_inputs(without(log(20), "ay", 5, 9), GOLF, DT).samples[5:9, AY]).all()
+
+
+def test_inputs_take_the_gravity_of_body_roll_out_of_ay() -> None:
+    rolling = GOLF.model_copy(update={"roll_gradient": 0.007})
+    felt = log(20).with_columns(ay=5.0 + GRAVITY * np.sin(0.007 * np.full(20, 5.0)))
+    np.testing.assert_allclose(make_inputs(felt, rolling, DT).samples[:, AY], 5.0, rtol=1e-4)
+
+
+def test_inputs_know_the_longitudinal_forces() -> None:
+    braking = log(20).with_columns(ax=np.full(20, -4.0))
+    samples = make_inputs(braking, GOLF, DT).samples
+    np.testing.assert_allclose(samples[:, FXF] + samples[:, FXR], -4.0 * GOLF.mass)
+    share = GOLF.cg_to_rear_axle / (GOLF.cg_to_front_axle + GOLF.cg_to_rear_axle)
+    np.testing.assert_allclose(samples[:, FXF], -4.0 * GOLF.mass * share)
+    torques = {"torque_fl": 300.0, "torque_fr": 200.0, "torque_rl": -50.0, "torque_rr": 0.0}
+    known = braking.with_columns(**{name: np.full(20, value) for name, value in torques.items()})
+    samples = make_inputs(without(known, "torque_rr", 10, 20), GOLF, DT).samples
+    np.testing.assert_allclose(
+        samples[:10, [FXF, FXR]], [[500.0 / GOLF.wheel_radius, -50.0 / GOLF.wheel_radius]] * 10
+    )
+    np.testing.assert_allclose(samples[10:, FXF], -4.0 * GOLF.mass * share, err_msg="else from ax")
+
+
 SHARP = {
     "kinematic_kf": KinematicKF(GOLF, KinematicNoise(accel=0.2, speed=0.03, relaxation=0.02)),
     "dynamic_ekf": DynamicEKF(GOLF, DynamicNoise(slip_rate=0.04, ay=0.5)),
@@ -478,6 +510,8 @@ def test_a_missing_channel_widens_the_answer_and_comes_back(name: str, channel: 
     growth = broken.beta_std / whole.beta_std
     assert np.isfinite(broken.beta).all()
     np.testing.assert_array_equal(growth[:200], 1.0)
+    if (name, channel) == ("kinematic_kf", "vx"):
+        assert np.isnan(broken.nis[200:400]).all(), "a held speed is no measurement"
     if channel in TELLING[name]:
         assert growth[350:400].mean() > 1.03
         assert growth[599] < 0.5 * (1.0 + growth[399])

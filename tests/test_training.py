@@ -23,8 +23,9 @@ from crosscomb.training.fit import SELECTORS
 from crosscomb.training.folds import grouped_folds, split_recordings
 from crosscomb.training.labels import label_run, oracle_beta
 from crosscomb.training.metrics import countable, coverage, score, score_log
+from crosscomb.training.presets import plan_jobs
 from crosscomb.training.recordings import Recording, common_vehicle, read_recordings, require_enough
-from crosscomb.training.simulate import plan_jobs, simulate_log
+from crosscomb.training.simulate import simulate_log
 from crosscomb.training.train import Training, default_filters, steps, train
 from crosscomb.windows import WindowSettings
 
@@ -477,7 +478,7 @@ def unseen_logs(car: Vehicle) -> list[Recording]:
         simulate_log(
             car, job.manoeuvre, (271_828, job.number), surface=job.surface, duration=20.0, name=job.name
         )
-        for job in plan_jobs(24)
+        for job in plan_jobs(car, 24)
     ]
     return [Recording(log.name, Path(log.name), car, log) for log in logs]
 

@@ -51,7 +51,14 @@ def understeer_gradient(car: Vehicle) -> float:
 
 
 def test_every_car_of_the_real_logs_and_a_generic_one_are_shipped() -> None:
-    others = {"generic_compact", "generic_suv", "sports_mid_engine", "truck_heavy", "go_kart"}
+    others = {
+        "generic_compact",
+        "generic_suv",
+        "sports_mid_engine",
+        "truck_heavy",
+        "go_kart",
+        "heavy_truck_di_biase",
+    }
     assert set(shipped_vehicles()) == {*REAL_CARS, *others}
 
 
