@@ -342,10 +342,10 @@ def benchmark(
 
     artefact = load_artefact(selector_file)
     if suite == "papers":
-        from crosscomb.training.paper_benchmarks import PAPERS
+        from crosscomb.training.paper_benchmarks import PAPERS, PaperTable
 
         with terminal.progress("rebuilding tables", len(PAPERS)) as advance:
-            tables = {}
+            tables: dict[str, PaperTable] = {}
             for paper, rebuild in PAPERS.items():
                 tables |= {f"{paper}, {title}": table for title, table in rebuild().items()}
                 advance()

@@ -194,8 +194,8 @@ def estimate_log(
         at = rows_to_grid(rows, run.segment, artefact.rate)
         parts.append((beta[at], beta_std[at], np.array(names)[active[at]], status[at], run.beta[at]))
     beta, beta_std, active, status, each = (np.concatenate(column) for column in zip(*parts, strict=True))
-    filters = {name: each[:, i] for i, name in enumerate(names)}
-    return LogEstimate(signals, beta, beta_std, active, status, filters)
+    betas = {name: each[:, i] for i, name in enumerate(names)}
+    return LogEstimate(signals, beta, beta_std, active, status, betas)
 
 
 def select(run: FilterRun, artefact: Artefact) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
