@@ -47,7 +47,7 @@ SELECTORS: dict[str, SelectorKind] = {
     ),
 }
 
-MIN_LEAF_SHARE = 0.02
+MIN_LEAF_SHARE = 0.01
 """A leaf holds at least this share of the weight: fewer windows come from one or two recordings only."""
 
 
