@@ -267,7 +267,10 @@ def test_a_short_gap_is_bridged_and_said(lively, car, artefact):
     estimate = estimate_log(log, car, artefact)
     assert_whole(estimate, log, artefact)
     after = int(np.argmax(log.t >= 5.8))
-    assert estimate.beta_std[after] > 1.3 * estimate.beta_std[after - 1]
+    # Without measurements the filters' own doubt grows; the switch's own may fall as a transition fades.
+    before = estimate_log(make_signals(lively.frame, "whole"), car, artefact)
+    whole = int(np.argmax(lively.t >= 5.8))
+    assert estimate.beta_std[after] > before.beta_std[whole]
 
 
 def test_status_says_low_speed_and_reverse(log, car, artefact):

@@ -1,10 +1,8 @@
 """Kernels are compiled once for each installation, not once for each process."""
 
 import json
-import os
 import subprocess
 import sys
-from pathlib import Path
 
 PROGRAM = """
 import json, sys
@@ -33,28 +31,20 @@ print(json.dumps(kernels))
 """
 
 
-def kernels_used(cache: Path) -> dict[str, tuple[int, int]]:
+def kernels_used() -> dict[str, tuple[int, int]]:
     """Cache hits and misses of every kernel that a fresh process used."""
-    environment = {**os.environ, "NUMBA_CACHE_DIR": str(cache)}
     done = subprocess.run(
-        [sys.executable, "-c", PROGRAM],
-        env=environment,
-        capture_output=True,
-        text=True,
-        timeout=300,
-        check=False,
+        [sys.executable, "-c", PROGRAM], capture_output=True, text=True, timeout=600, check=False
     )
     assert done.returncode == 0, done.stderr
     return {name: (hits, misses) for name, (hits, misses) in json.loads(done.stdout).items()}
 
 
-def test_a_second_process_compiles_nothing(tmp_path: Path) -> None:
-    first, second = kernels_used(tmp_path), kernels_used(tmp_path)
-    compiled = {name for name, (_, misses) in first.items() if misses}
+def test_a_second_process_compiles_nothing() -> None:
+    kernels_used()  # whatever has not been compiled yet on this machine is compiled here
+    second = kernels_used()
+    assert {name for name, (_, misses) in second.items() if misses} == set()
+    loaded = {name for name, (hits, _) in second.items() if hits}
     for family in ("kinematic_kf.kinematic_", "dynamic_ekf.dynamic_", "random_walk_pf.particle_"):
         for way in ("step", "run"):
-            assert f"crosscomb.filters.{family}{way}" in compiled
-    assert {name for name, (_, misses) in second.items() if misses} == set()
-    assert {name for name, (hits, _) in second.items() if hits} >= {
-        name for name in compiled if name.endswith(("_step", "_run"))
-    }
+            assert f"crosscomb.filters.{family}{way}" in loaded
