@@ -201,7 +201,7 @@ def _mended(table: dict[str, np.ndarray], faults: tuple[Fault, ...]) -> dict[str
 
 def _reference_ties(table: dict[str, np.ndarray], vehicle: Vehicle) -> list[Tie]:
     """What beta_ref must agree with: drifting or not, vy changes only as fast as ay leaves over for it."""
-    moving = np.abs(table["speed"]) > 3.0
+    moving = table["speed"] > 3.0  # forward only: in reverse beta jumps between 180 and -180 deg
     table = {name: values[moving] for name, values in table.items()}
     v, yaw_rate, vy_rate = table["speed"], table["yaw_rate"], table["vy_rate"]
     left_over = table["ay"] - v * yaw_rate

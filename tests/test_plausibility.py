@@ -14,6 +14,7 @@ from crosscomb.logs import read_log
 from crosscomb.models.vehicle import Vehicle, load_vehicle
 from crosscomb.plausibility import check_units
 from crosscomb.signals import GRAVITY, WHEEL_SPEEDS, Signals
+from crosscomb.training.simulate import simulate_log
 
 DEGREES = 180.0 / np.pi
 
@@ -238,3 +239,11 @@ def test_faults_are_found_in_every_real_drive(real_logs: list, fault: str) -> No
             found = errors(spoil(log), car)
             assert any(f"[channels.{column}]" in finding.message for finding in found), log.source
     assert tried > 15
+
+
+def test_reversing_is_no_fault_of_the_reference() -> None:
+    """Going backwards beta_ref jumps between 180 and -180 deg."""
+    car = load_vehicle("generic_compact")
+    for seed in range(3):
+        log = simulate_log(car, "reversing", seed, surface="split", duration=40.0)
+        assert not [finding for finding in check_units(log, car) if finding.severity == "error"]
