@@ -386,7 +386,7 @@ def demo(
     from crosscomb import terminal
 
     logs, unseen, selector = output / "logs", output / "unseen", output / "selector.json"
-    simulate(logs, vehicle=None, seed=1, logs=40, force=True, jobs=2, preset="quick")
+    simulate(logs, vehicle=None, seed=1, logs=30, force=True, jobs=2, preset="quick")
     train(logs, output=selector, jobs=2)
     simulate(unseen, vehicle=None, seed=2, logs=3, force=True, jobs=2, preset="quick")
     fresh = sorted(unseen.glob("*.csv.gz"))
