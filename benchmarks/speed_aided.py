@@ -12,12 +12,9 @@ import argparse
 from collections.abc import Callable
 
 import numpy as np
-from rich.console import Console
-from rich.table import Table
-from speed_filters import KERNEL_STEPS, Pair, measure, slalom
+from speed_filters import KERNEL_STEPS, print_pairs, slalom, twin_pairs
 
 from crosscomb.filters.base import GNSS_COURSE, GNSS_SPEED, HEADING, VX, YAW_RATE, Estimate, Inputs
-from crosscomb.filters.catalogue import make_filter
 from crosscomb.filters.reference_aided import (
     reference_gnss_dynamic_observer,
     reference_gnss_kinematic_kf,
@@ -45,27 +42,6 @@ def slalom_with_fixes(vehicle: Vehicle, steps: int) -> Inputs:
     return inputs
 
 
-def make_pairs(steps: int) -> list[Pair]:
-    """Each filter with its twin."""
-    vehicle = load_vehicle("golf_gti_2018")
-    short, long = slalom_with_fixes(vehicle, steps), slalom_with_fixes(vehicle, steps * KERNEL_STEPS)
-    pairs = []
-    for name, twin in TWINS.items():
-        estimator = make_filter(name, vehicle)
-        pairs.append(
-            Pair(
-                name,
-                "filterpy",
-                lambda estimator=estimator: estimator.run(long),
-                lambda estimator=estimator, twin=twin: twin(estimator, short),
-                len(long.samples),
-                len(short.samples),
-                BAR,
-            )
-        )
-    return pairs
-
-
 def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(
@@ -74,19 +50,12 @@ def main() -> None:
     parser.add_argument("--repeats", type=int, default=7)
     parser.add_argument("--steps", type=int, default=600, help="samples for the slow side of each pair")
     options = parser.parse_args()
-    pairs = make_pairs(options.steps)
-    times = measure(pairs, options.repeats)
-    table = Table(title=f"Time per sample on one core, best of {options.repeats}")
-    for heading in ("filter", "rival", "kernel us", "rival us", "ratio", "median ratio", "bar", ""):
-        table.add_column(heading, justify="left" if heading in ("filter", "rival", "") else "right")
-    best, median = times.min(axis=0), np.median(times[:, :, 1] / times[:, :, 0], axis=0)
-    for pair, (kernel, rival), middle in zip(pairs, best, median, strict=True):
-        ratio = rival / kernel
-        table.add_row(
-            pair.name, pair.rival, f"{kernel:.3f}", f"{rival:.1f}", f"{ratio:.1f}", f"{middle:.1f}",
-            f"{pair.bar:g}", "met" if ratio >= pair.bar else "missed",
-        )  # fmt: skip
-    Console().print(table)
+    vehicle = load_vehicle("golf_gti_2018")
+    short, long = (
+        slalom_with_fixes(vehicle, options.steps),
+        slalom_with_fixes(vehicle, options.steps * KERNEL_STEPS),
+    )
+    print_pairs(twin_pairs(TWINS, vehicle, short, long, BAR), options.repeats)
 
 
 if __name__ == "__main__":

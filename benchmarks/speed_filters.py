@@ -19,6 +19,7 @@ from rich.table import Table
 
 from crosscomb.filters import base
 from crosscomb.filters.base import Estimate, Inputs
+from crosscomb.filters.catalogue import make_filter
 from crosscomb.filters.dynamic_ekf import DynamicEKF
 from crosscomb.filters.kinematic_kf import KinematicKF
 from crosscomb.filters.random_walk_pf import FAR_OFF, FIRST_SPREAD, RandomWalkPF
@@ -176,19 +177,31 @@ def measure(pairs: list[Pair], repeats: int) -> np.ndarray:
     return times
 
 
-def main() -> None:
-    """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--repeats", type=int, default=15)
-    parser.add_argument("--steps", type=int, default=2000, help="samples that filterpy takes")
-    parser.add_argument("--particles", type=int, default=10_000)
-    options = parser.parse_args()
-    pairs = make_pairs(options.steps, options.particles)
-    times = measure(pairs, options.repeats)
+def twin_pairs(
+    twins: dict[str, Callable[..., Estimate]], vehicle: Vehicle, short: Inputs, long: Inputs, bar: float
+) -> list[Pair]:
+    """Each filter of the catalogue, on the long samples, with its filterpy twin on the short ones."""
+    pairs = []
+    for name, twin in twins.items():
+        estimator = make_filter(name, vehicle)
+        pairs.append(
+            Pair(
+                name,
+                "filterpy",
+                lambda estimator=estimator: estimator.run(long),
+                lambda estimator=estimator, twin=twin: twin(estimator, short),
+                len(long.samples),
+                len(short.samples),
+                bar,
+            )
+        )
+    return pairs
 
-    table = Table(
-        title=f"Time per sample, best of {options.repeats}; ratio of the best times and median ratio"
-    )
+
+def print_pairs(pairs: list[Pair], repeats: int) -> None:
+    """Measure the pairs and print a row for each."""
+    times = measure(pairs, repeats)
+    table = Table(title=f"Time per sample, best of {repeats}; ratio of the best times and median ratio")
     table.add_column("filter")
     table.add_column("rival")
     for heading in ("kernel us", "rival us", "ratio", "median", "at least"):
@@ -198,6 +211,16 @@ def main() -> None:
         figures = (f"{kernel:.3f}", f"{rival:.1f}", f"{rival / kernel:.1f}", f"{middle:.1f}", f"{pair.bar:g}")
         table.add_row(pair.name, pair.rival, *figures)
     Console(width=110).print(table)
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--repeats", type=int, default=15)
+    parser.add_argument("--steps", type=int, default=2000, help="samples that filterpy takes")
+    parser.add_argument("--particles", type=int, default=10_000)
+    options = parser.parse_args()
+    print_pairs(make_pairs(options.steps, options.particles), options.repeats)
 
 
 if __name__ == "__main__":
