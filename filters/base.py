@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, ClassVar, NamedTuple
@@ -97,6 +97,8 @@ class KernelFilter:
     run_kernel: ClassVar[Callable[..., None]]
     choices: ClassVar[dict[str, tuple[str, ...]]] = {"tyre": tuple(TYRE_LAWS)}
     """Words that a setting may take."""
+    tables: ClassVar[Mapping[str, Callable[[str, Any], Any]]] = {}
+    """Settings that are tables of their own, each with the function that checks it: (where, value) to setting."""
     extras: ClassVar[tuple[str, ...]] = ()
     """Columns that the kernels write behind `NIS`, each as ``name [unit]``."""
 

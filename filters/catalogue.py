@@ -2,41 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, fields
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from importlib import import_module
 from typing import Any
 
 from crosscomb.errors import UsageError
-from crosscomb.filters.adaptive_pf import AdaptivePF
 from crosscomb.filters.base import KernelFilter
-from crosscomb.filters.blends import CovarianceFusion, FuzzyBlend
-from crosscomb.filters.cross_combined import CrossCombinedUKF
-from crosscomb.filters.cubature import CubatureHybridKF, CubatureRecedingHorizonKF, SqrtCubatureKF
-from crosscomb.filters.double_track_random_walk_ekf import DoubleTrackRandomWalkEKF
-from crosscomb.filters.dual_ekf import DualEKF
-from crosscomb.filters.dynamic_ekf import DynamicEKF
-from crosscomb.filters.dynamic_pf import DynamicPF
-from crosscomb.filters.friction_adaptive_ekf import FrictionAdaptiveEKF
-from crosscomb.filters.gnss_dynamic import GnssDynamicObserver
-from crosscomb.filters.gnss_kinematic import GnssKinematicKF
-from crosscomb.filters.kinematic_kf import KinematicKF
-from crosscomb.filters.kinematic_pf import KinematicPF
-from crosscomb.filters.kinematic_variants import BlendKF, ZeroYawKF
-from crosscomb.filters.learned import (
-    FeedbackNetwork,
-    NeuralNetwork,
-    parse_feedback_network,
-    parse_plain_network,
-)
-from crosscomb.filters.multiple_model import IMM, MMAE
-from crosscomb.filters.observers import ExtendedLuenberger, Luenberger, SlidingMode
-from crosscomb.filters.planar_ekf import DoubleTrackEKF, FirstOrderEKF, IteratedEKF
-from crosscomb.filters.random_walk_ekf import RandomWalkEKF
-from crosscomb.filters.random_walk_pf import RandomWalkPF
-from crosscomb.filters.rao_blackwell_pf import RaoBlackwellPF
-from crosscomb.filters.second_order_ekf import SecondOrderEKF
-from crosscomb.filters.sigma_point import GeneralUKF, SimpleUKF, SimplexUKF, SphericalUKF
-from crosscomb.filters.tyre_adaptive_ekf import LINT, RATT, RATTE
 from crosscomb.models.vehicle import Vehicle
 
 
@@ -44,210 +16,213 @@ from crosscomb.models.vehicle import Vehicle
 class Entry:
     """One line of the catalogue."""
 
-    make: type[KernelFilter]
+    place: str
+    """Module in `crosscomb.filters` and class in it, as ``module:Class``; a run imports only what it makes."""
     summary: str
     source: str
-    tables: Mapping[str, Callable[[str, Any], Any]] = field(default_factory=dict)
-    """Settings that are tables of their own, each with the function that checks it: (where, value) to setting."""
+
+    def load(self) -> type[KernelFilter]:
+        """Import the estimator's class."""
+        module, _, name = self.place.partition(":")
+        loaded: type[KernelFilter] = getattr(import_module(f"crosscomb.filters.{module}"), name)
+        return loaded
 
 
 CATALOGUE: dict[str, Entry] = {
     "kinematic_kf": Entry(
-        KinematicKF,
+        "kinematic_kf:KinematicKF",
         "Kalman filter that integrates the accelerometers; right in slides, drifts on straights",
         "Atheupe 2023, eq. 18 to 21",
     ),
     "dynamic_ekf": Entry(
-        DynamicEKF,
+        "dynamic_ekf:DynamicEKF",
         "extended Kalman filter on the single track with Dugoff tyres; right while the friction is",
         "Atheupe 2023, eq. 22 to 25",
     ),
     "random_walk_pf": Entry(
-        RandomWalkPF,
+        "random_walk_pf:RandomWalkPF",
         "particle filter with free axle forces, softly tied to the EKF; needs no friction, costs most",
         "Atheupe 2023, eq. 17 and 29",
     ),
     "lint_ekf": Entry(
-        LINT,
+        "tyre_adaptive_ekf:LINT",
         "EKF that adapts the cornering stiffness of both axles in turns; follows wear and wet, lost in slides",
         "Di Biase 2020, eq. 21 to 45, corrected",
     ),
     "ratt_ekf": Entry(
-        RATT,
+        "tyre_adaptive_ekf:RATT",
         "EKF with slip and yaw rates as states on fixed rational tyres; right while the friction is",
         "Di Biase 2020, eq. 46 to 52, Jacobians derived anew",
     ),
     "ratte_ekf": Entry(
-        RATTE,
+        "tyre_adaptive_ekf:RATTE",
         "EKF that adapts rational tyres in turns; follows the grip, misled by bank and speed errors",
         "Di Biase 2020, eq. 53 to 60, Jacobians derived anew",
     ),
     "dual_ekf": Entry(
-        DualEKF,
+        "dual_ekf:DualEKF",
         "two EKFs, one for the motion, one for rational tyres; adapts more slowly than ratte_ekf",
         "Ahangarnejad and Baslamisli 2016, as cited in Di Biase 2020 [22]",
     ),
     "friction_adaptive_ekf": Entry(
-        FrictionAdaptiveEKF,
+        "friction_adaptive_ekf:FrictionAdaptiveEKF",
         "EKF on Dugoff tyres that learns the friction in hard turns; blind to it in gentle driving",
         "Chindamo 2018, section 2; Atheupe 2023, eq. 22, 23, 30",
     ),
     "random_walk_ekf": Entry(
-        RandomWalkEKF,
+        "random_walk_ekf:RandomWalkEKF",
         "EKF with free axle forces, softly tied to a linear rear tyre; needs no friction, fails in slides",
         "Atheupe 2023, eq. 29, corrected",
     ),
     "double_track_random_walk_ekf": Entry(
-        DoubleTrackRandomWalkEKF,
+        "double_track_random_walk_ekf:DoubleTrackRandomWalkEKF",
         "EKF with free wheel forces on the double track, for slow manoeuvres; fails in slides",
         "Pieralice 2018, section 3, EKF+RW",
     ),
     "rao_blackwell_pf": Entry(
-        RaoBlackwellPF,
+        "rao_blackwell_pf:RaoBlackwellPF",
         "random-walk particle filter whose forces are solved exactly: steadier and faster; follows the EKF as it does",
         "Schoen, Gustafsson and Nordlund 2005, on Atheupe 2023, eq. 17 and 29",
     ),
     "adaptive_pf": Entry(
-        AdaptivePF,
+        "adaptive_pf:AdaptivePF",
         "random-walk particle filter that takes more particles where few fit; follows the EKF in the long run",
         "Atheupe 2023, section 7.3",
     ),
     "kinematic_pf": Entry(
-        KinematicPF,
+        "kinematic_pf:KinematicPF",
         "particle filter that integrates the accelerometers; no better than the Kalman filter of the same model",
         "Atheupe 2023, eq. 18 to 21 and section 7.2",
     ),
     "dynamic_pf": Entry(
-        DynamicPF,
+        "dynamic_pf:DynamicPF",
         "particle filter on the single track with Dugoff tyres; right while the friction is, slow",
         "Atheupe 2023, eq. 22 to 25; D'Inverno 2021, section 2.2",
     ),
     "first_order_ekf": Entry(
-        FirstOrderEKF,
+        "planar_ekf:FirstOrderEKF",
         "EKF for u, v and yaw rate with Magic Formula tyres on the single track; right while the friction is",
         "D'Inverno 2021, algorithm 1",
     ),
     "double_track_ekf": Entry(
-        DoubleTrackEKF,
+        "planar_ekf:DoubleTrackEKF",
         "first_order_ekf with four wheels and lateral load transfer; right while the friction is",
         "Pieralice 2018, eq. 1 to 6",
     ),
     "iterated_ekf": Entry(
-        IteratedEKF,
+        "planar_ekf:IteratedEKF",
         "first_order_ekf with the update repeated to the most likely state; no better where the tyre law is wrong",
         "D'Inverno 2021, algorithm 2, corrected",
     ),
     "second_order_ekf": Entry(
-        SecondOrderEKF,
+        "second_order_ekf:SecondOrderEKF",
         "first_order_ekf with the curvature of the tyre law; overstates it beyond the peak of the tyre",
         "D'Inverno 2021, algorithm 3, corrected after Simon 2006",
     ),
     "simple_ukf": Entry(
-        SimpleUKF,
+        "sigma_point:SimpleUKF",
         "unscented filter of first_order_ekf's model, six points; may leave a spin on the wrong side",
         "D'Inverno 2021, algorithm 4, corrected",
     ),
     "general_ukf": Entry(
-        GeneralUKF,
+        "sigma_point:GeneralUKF",
         "unscented filter with a centre point and free spread; a wide spread reaches beyond the tyre's peak",
         "D'Inverno 2021, eq. 2",
     ),
     "simplex_ukf": Entry(
-        SimplexUKF,
+        "sigma_point:SimplexUKF",
         "unscented filter with five points, lopsided and so less exact; cheapest of the four with spherical_ukf",
         "D'Inverno 2021, algorithm 6",
     ),
     "spherical_ukf": Entry(
-        SphericalUKF,
+        "sigma_point:SphericalUKF",
         "unscented filter with five points on a sphere; fails where simple_ukf does",
         "D'Inverno 2021, algorithm 5",
     ),
     "sqrt_cubature_kf": Entry(
-        SqrtCubatureKF,
+        "cubature:SqrtCubatureKF",
         "cubature filter that carries the root of the covariance; simple_ukf without its rounding errors",
         "Chindamo 2018, section 2.2; Arasaratnam and Haykin 2009",
     ),
     "cubature_receding_horizon_kf": Entry(
-        CubatureRecedingHorizonKF,
+        "cubature:CubatureRecedingHorizonKF",
         "cubature filter that forgets all but the last 0.3 s; sheds old errors, loses long slides, slow",
         "Chindamo 2018, section 2.2",
     ),
     "cubature_hybrid_kf": Entry(
-        CubatureHybridKF,
+        "cubature:CubatureHybridKF",
         "both cubature filters weighed by likelihood; between the two, slow",
         "Chindamo 2018, section 2.2",
     ),
     "kinematic_kf_zero_yaw": Entry(
-        ZeroYawKF,
+        "kinematic_variants:ZeroYawKF",
         "kinematic_kf that measures the steady slip near zero yaw rate; wrong when the car slides straight on",
         "Chindamo 2018, section 2.2 (Farrelly)",
     ),
     "kinematic_blend_kf": Entry(
-        BlendKF,
+        "kinematic_variants:BlendKF",
         "kinematic_kf that goes over to the tyres' forces near zero yaw rate; wrong when the car slides straight on",
         "Chindamo 2018, section 2.2 (Ungoren)",
     ),
     "luenberger": Entry(
-        Luenberger,
+        "observers:Luenberger",
         "observer on the linear single track, poles placed over speed; right while the tyres are linear",
         "Chindamo 2018, section 2",
     ),
     "extended_luenberger": Entry(
-        ExtendedLuenberger,
+        "observers:ExtendedLuenberger",
         "observer on the nonlinear single track, poles placed at each step; right while the friction is",
         "Chindamo 2018, section 2; Ding et al. 2014",
     ),
     "sliding_mode": Entry(
-        SlidingMode,
+        "observers:SlidingMode",
         "first-order sliding mode on the nonlinear single track; bounded pull, right while the friction is",
         "Chindamo 2018, section 2",
     ),
     "gnss_kinematic_kf": Entry(
-        GnssKinematicKF,
+        "gnss_kinematic:GnssKinematicKF",
         "kinematic filter that learns sensor errors from GNSS; needs two antennas for slides, drifts without fixes",
         "Chindamo 2018, section 2.3 (Bevly, Ryu)",
     ),
     "gnss_dynamic_observer": Entry(
-        GnssDynamicObserver,
+        "gnss_dynamic:GnssDynamicObserver",
         "dynamic EKF corrected by GNSS course minus heading; without fixes right while the friction is",
         "Chindamo 2018, section 2.3 and table 1",
     ),
     "fuzzy_blend": Entry(
-        FuzzyBlend,
+        "blends:FuzzyBlend",
         "dynamic in steady states, kinematic in transients, by a fuzzy index; fails in long slides",
         "Chindamo 2018, section 2.2 (Cheli)",
     ),
     "cross_combined_ukf": Entry(
-        CrossCombinedUKF,
+        "cross_combined:CrossCombinedUKF",
         "kinematic in turns, unscented dynamic on straights; fails in slides with little yaw rate",
         "Atheupe 2023, section 1 (Villano)",
     ),
     "covariance_fusion": Entry(
-        CovarianceFusion,
+        "blends:CovarianceFusion",
         "kinematic and dynamic filter weighted by their variances; as wrong as the surer of the two",
         "Julier and Uhlmann 1997",
     ),
     "imm": Entry(
-        IMM,
+        "multiple_model:IMM",
         "mixes dynamic models on two frictions and the kinematic one by likelihood; slow to tell them apart",
         "Atheupe 2023, section 2 [63]; Blom and Bar-Shalom 1988",
     ),
     "mmae": Entry(
-        MMAE,
+        "multiple_model:MMAE",
         "the same three models, each on its own, weighted by likelihood; noisier in normal driving",
         "Atheupe 2023, section 2 [67]; Magill 1965",
     ),
     "network": Entry(
-        NeuralNetwork,
+        "learned:NeuralNetwork",
         "neural network on ay, yaw rate, steer and speed; right for cars and roads like those it was trained on",
         "Chindamo 2018, section 3",
-        {"network": parse_plain_network},
     ),
     "network_feedback": Entry(
-        FeedbackNetwork,
+        "learned:FeedbackNetwork",
         "network that also sees its own answer of 0.08 s ago; smoother, fails on cars and roads it does not know",
         "Chindamo 2018, section 3 (Melzi)",
-        {"network": parse_feedback_network},
     ),
 }
 
@@ -272,13 +247,13 @@ def make_filter(name: str, vehicle: Vehicle, settings: Mapping[str, Any] | None 
     """
     if name not in CATALOGUE:
         raise UsageError(f"filter {name}: not in the catalogue: take of {', '.join(CATALOGUE)}")
-    cls = CATALOGUE[name].make
+    cls = CATALOGUE[name].load()
     defaults = {f.name: f.default for f in fields(cls) if f.name != "vehicle"}
     chosen: dict[str, Any] = {}
     for key, value in (settings or {}).items():
         if key not in defaults:
             raise UsageError(f"filter {name}: unknown setting {key}: take of {', '.join(defaults)}")
-        where, check = f"filter {name}: {key}", CATALOGUE[name].tables.get(key)
+        where, check = f"filter {name}: {key}", cls.tables.get(key)
         words = cls.choices.get(key, ())
         chosen[key] = check(where, value) if check else _checked(where, value, defaults[key], words)
     return cls(vehicle, **chosen)

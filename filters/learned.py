@@ -19,7 +19,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cache, cached_property, partial
 from importlib import resources
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from numba import njit
@@ -226,6 +226,7 @@ class NeuralNetwork(KernelFilter):
 
     step_kernel = staticmethod(network_step)
     run_kernel = staticmethod(network_run)
+    tables: ClassVar = {"network": parse_plain_network}
 
     @cached_property
     def car(self) -> Any:
@@ -248,3 +249,5 @@ class FeedbackNetwork(NeuralNetwork):
     """Three-layer network with its own delayed answer as an input."""
 
     network: Network = field(default_factory=partial(shipped_network, "network_feedback"))
+
+    tables: ClassVar = {"network": parse_feedback_network}

@@ -80,7 +80,7 @@ def test_every_entry_says_what_it_is_and_where_it_is_from(name):
     entry = CATALOGUE[name]
     assert len(entry.summary) > 20
     assert entry.source
-    assert (entry.make.__doc__ or "").strip()
+    assert (entry.load().__doc__ or "").strip()
 
 
 def real_logs(folder):

@@ -2,6 +2,7 @@
 
 import importlib.util
 import re
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -25,12 +26,12 @@ def example(tmp_path, monkeypatch):
     """Make the module of the example, and put its line into the catalogue."""
     file = tmp_path / "steady_state.py"
     file.write_text(BLOCKS[0], encoding="utf-8")
-    spec = importlib.util.spec_from_file_location("steady_state", file)
+    spec = importlib.util.spec_from_file_location("crosscomb.filters.steady_state", file)
     module = importlib.util.module_from_spec(spec)
-    monkeypatch.setitem(__import__("sys").modules, "steady_state", module)
+    monkeypatch.setitem(sys.modules, "crosscomb.filters.steady_state", module)
     spec.loader.exec_module(module)
     line = BLOCKS[1].strip().rstrip(",")
-    entry = eval("{" + line + "}", {"Entry": catalogue.Entry, "SteadyState": module.SteadyState})
+    entry = eval("{" + line + "}", {"Entry": catalogue.Entry})
     for name, value in entry.items():
         monkeypatch.setitem(catalogue.CATALOGUE, name, value)
     return next(iter(entry))

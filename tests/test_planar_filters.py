@@ -570,7 +570,7 @@ def test_the_hybrid_lies_between_its_parts_and_follows_the_likelier() -> None:
 
 def test_catalogue_names_and_settings() -> None:
     for name, kind in {"double_track_ekf": DoubleTrackEKF, "simple_ukf": SimpleUKF}.items():
-        assert CATALOGUE[name].make is kind
+        assert CATALOGUE[name].load() is kind
     assert make_filter("iterated_ekf", GOLF, {"iterations": 2, "track": "double"}).car.wheels == 4
     with pytest.raises(UsageError, match="track"):
         make_filter("simple_ukf", GOLF, {"track": "triple"})

@@ -8,6 +8,8 @@ from pathlib import Path
 
 import pytest
 
+from crosscomb.filters.catalogue import CATALOGUE, DEFAULT_FILTERS
+
 PREFACE = "import sys, json; sys.argv = ['crosscomb', *json.loads(sys.argv[1])]\n"
 MODULES = """
 from crosscomb.cli import main
@@ -15,7 +17,7 @@ try:
     main()
 except SystemExit as stop:
     code = stop.code
-print(json.dumps([code, sorted({name.split('.')[0] for name in sys.modules})]))
+print(json.dumps([code, sorted(sys.modules)]))
 """
 COMPILED = """
 from numba.core import event
@@ -60,6 +62,19 @@ def test_estimate_imports_neither_scikit_learn_nor_filterpy_nor_matplotlib(data_
     assert (tmp_path / f"{log.name.removesuffix('.csv')}.estimate.csv").exists()
     assert {"numpy", "pandas", "numba"} <= set(modules)
     assert {"sklearn", "filterpy", "matplotlib", "joblib"} & set(modules) == set()
+
+
+def test_estimate_imports_only_the_estimators_it_runs(data_set, tmp_path):
+    log = sorted(data_set.glob("*.csv"))[0]
+    code, modules = run(MODULES, "estimate", log, "-o", tmp_path)
+    assert code == 0
+    estimators = {f"crosscomb.filters.{entry.place.partition(':')[0]}" for entry in CATALOGUE.values()}
+    used = {f"crosscomb.filters.{name}" for name in DEFAULT_FILTERS}
+    assert estimators & set(modules) == used
+    _, modules = run(MODULES, "estimate", log, "-o", tmp_path, "--filters", "luenberger")
+    assert "crosscomb.filters.observers" in modules
+    _, modules = run(MODULES, "filters")
+    assert not estimators & set(modules)
 
 
 def test_a_second_process_compiles_nothing(data_set, tmp_path):
