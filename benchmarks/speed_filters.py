@@ -60,10 +60,10 @@ def slalom(vehicle: Vehicle, steps: int) -> Inputs:
     return Inputs(0.01, samples)
 
 
-def numpy_random_walk_pf(estimator: RandomWalkPF, inputs: Inputs, beta_ekf: np.ndarray) -> Estimate:
+def numpy_random_walk_pf(estimator: RandomWalkPF, inputs: Inputs, ekf: Estimate) -> Estimate:
     """Random-walk particle filter as one writes it well in numpy: no loop over particles, no needless copies.
 
-    Without the EKF that gives `beta_ekf` ``(n,) [rad]``, which the kernel has to run itself.
+    Without the EKF whose answer `ekf` is, which the kernel has to run itself.
     """
     noise, car, dt, n = estimator.noise, estimator.car, inputs.dt, estimator.particles
     rng = np.random.Generator(np.random.SFC64(estimator.seed))
@@ -71,7 +71,8 @@ def numpy_random_walk_pf(estimator: RandomWalkPF, inputs: Inputs, beta_ekf: np.n
     width = np.array([noise.yaw_acceleration, noise.slip_rate, *[noise.force] * 4])[:, None] * scale
     width *= np.sqrt(12.0 * dt)
     half = scale * np.array(FIRST_SPREAD)[:, None]
-    p_yaw, p_a, p_beta = 0.5 / noise.yaw_rate**2, 0.5 / noise.accel**2, 0.5 * dt / noise.pseudo**2
+    p_yaw, p_a = 0.5 / noise.yaw_rate**2, 0.5 / noise.accel**2
+    p_beta = 0.5 * dt / (noise.pseudo**2 + ekf.beta_std**2)
     places = np.arange(n)
     x, random, log_weights = np.empty((6, n)), np.empty((6, n)), np.empty(n)
     out = np.empty((len(inputs.samples), 2))
@@ -88,7 +89,7 @@ def numpy_random_walk_pf(estimator: RandomWalkPF, inputs: Inputs, beta_ekf: np.n
                 x -= 0.5
                 x *= 2.0 * half
                 fyf, fyr = car.mass * z_ay * np.array([car.b, car.a]) / (car.a + car.b)
-                x += np.array([z_yaw, beta_ekf[k], sample[base.FXF], sample[base.FXR], fyf, fyr])[:, None]
+                x += np.array([z_yaw, ekf.beta[k], sample[base.FXF], sample[base.FXR], fyf, fyr])[:, None]
                 log_weights[:] = 0.0
             continue
         rng.random(out=random)
@@ -109,7 +110,7 @@ def numpy_random_walk_pf(estimator: RandomWalkPF, inputs: Inputs, beta_ekf: np.n
             np.minimum(p_yaw * (x[0] - z_yaw) ** 2, FAR_OFF)
             + np.minimum(p_a * (ax - z_ax) ** 2, FAR_OFF)
             + np.minimum(p_a * (ay - z_ay) ** 2, FAR_OFF)
-            + p_beta * (x[1] - beta_ekf[k]) ** 2
+            + p_beta[k] * (x[1] - ekf.beta[k]) ** 2
         )
         log_weights -= log_weights.max()
         weights = np.exp(log_weights)
@@ -131,7 +132,7 @@ def make_pairs(steps: int, particles: int) -> list[Pair]:
     kf, linear, dugoff = KinematicKF(vehicle), DynamicEKF(vehicle, tyre="linear"), DynamicEKF(vehicle)
     pf = RandomWalkPF(vehicle, particles=particles)
     few = Inputs(short.dt, short.samples[: max(steps // 20, 20)])
-    beta_ekf = DynamicEKF(vehicle, pf.noise.ekf).run(few).beta
+    ekf = DynamicEKF(vehicle, pf.noise.ekf).run(few)
 
     def pair(name: str, estimator: KinematicKF | DynamicEKF, twin: Callable[..., Estimate]) -> Pair:
         return Pair(
@@ -152,7 +153,7 @@ def make_pairs(steps: int, particles: int) -> list[Pair]:
             f"random-walk PF, {particles:,} particles",
             "numpy, vectorised",
             lambda: pf.run(few),
-            lambda: numpy_random_walk_pf(pf, few, beta_ekf),
+            lambda: numpy_random_walk_pf(pf, few, ekf),
             len(few.samples),
             len(few.samples),
             2.5,

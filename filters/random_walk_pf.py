@@ -1,9 +1,9 @@
 """Particle filter on the random-walk force model.
 
 State [yaw_rate, beta, fxf, fxr, fyf, fyr] (Atheupe 2023, eq. 29, corrected); weights from yaw rate, ax and ay
-(eq. 23) and from a dynamic EKF's beta as pseudo-measurement (eq. 17). Uniform first particles and uniform process
-noise as in the paper's section 4. The forces are free, so neither friction nor stiffness needs to be known; only the
-pseudo-measurement ties beta down, and softly.
+(eq. 23) and from a dynamic EKF's beta as pseudo-measurement (eq. 17), which says less where the EKF itself is less
+sure. Uniform first particles and uniform process noise as in the paper's section 4. The forces are free, so neither
+friction nor stiffness needs to be known; only the pseudo-measurement ties beta down, and softly.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ class ParticleNoise(NamedTuple):
     slip_rate: float = 0.04  # model error, sensor bias and bank included [rad/s per sqrt(Hz)]
     yaw_rate: float = 0.04  # measured yaw rate [rad/s]
     accel: float = 1.0  # measured ax and ay [m/s^2]
-    pseudo: float = 0.015  # pseudo-measurement of beta, counted once per second [rad]
+    pseudo: float = 0.012  # error of the EKF's beta beside the one it states, counted once per second [rad]
     ekf: DynamicNoise = DynamicNoise()  # of the EKF that gives the pseudo-measurement
 
 
@@ -109,7 +109,16 @@ def first_particles(particles, sample, beta, car):
 
 
 @njit(cache=True)
-def move_and_weigh(particles, sample, beta_ekf, car, noise, dt):
+def slip_precision(beta_std, noise, dt):
+    """Half the precision of the EKF's beta as a pseudo-measurement, with the EKF's own doubt beta_std [rad].
+
+    The EKF's error lasts long, so its beta counts as one measurement per second, spread over the steps.
+    """
+    return 0.5 * dt / (noise.pseudo**2 + beta_std**2)
+
+
+@njit(cache=True)
+def move_and_weigh(particles, sample, beta_ekf, std_ekf, car, noise, dt):
     """Predict every particle over dt and add its log likelihood to its log weight."""
     x, log_weights, draws = particles.x, particles.log_weights, particles.scratch
     draw_uniform(particles.rng, draws)
@@ -122,8 +131,7 @@ def move_and_weigh(particles, sample, beta_ekf, car, noise, dt):
     p_yaw = 0.5 / noise.yaw_rate**2 if math.isfinite(sample[YAW_RATE]) else 0.0
     p_ax = 0.5 / noise.accel**2 if math.isfinite(sample[AX]) else 0.0
     p_ay = 0.5 / noise.accel**2 if math.isfinite(sample[AY]) else 0.0
-    # The EKF's error lasts long, so its beta counts as one measurement per second, spread over the steps.
-    p_beta = 0.5 * dt / noise.pseudo**2
+    p_beta = slip_precision(std_ekf, noise, dt)
     z_yaw = sample[YAW_RATE] if p_yaw > 0.0 else 0.0
     z_ax = sample[AX] if p_ax > 0.0 else 0.0
     z_ay = sample[AY] if p_ay > 0.0 else 0.0
@@ -150,7 +158,7 @@ def move_and_weigh(particles, sample, beta_ekf, car, noise, dt):
 def particle_answer(particles, sample, car, noise, dt, out):
     """One sample of the particle filter without resampling; give the effective sample size, inf at low speed."""
     dynamic_step(particles.ekf, sample, car, noise.ekf, dt, particles.ekf_out)
-    beta_ekf = particles.ekf_out[BETA]
+    beta_ekf, std_ekf = particles.ekf_out[BETA], particles.ekf_out[BETA_STD]
     if below_gate(sample):
         low_speed_answer(sample, car, out)
         particles.running[0] = 0
@@ -160,7 +168,7 @@ def particle_answer(particles, sample, car, noise, dt, out):
         low_speed_answer(sample, car, out)
         particles.running[0] = 1
         return math.inf
-    move_and_weigh(particles, sample, beta_ekf, car, noise, dt)
+    move_and_weigh(particles, sample, beta_ekf, std_ekf, car, noise, dt)
     effective = normalise(particles.log_weights, particles.weights)
     out[BETA], out[BETA_STD] = weighted_beta(particles)
     out[NIS] = math.nan

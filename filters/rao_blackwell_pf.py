@@ -45,7 +45,7 @@ from crosscomb.filters.base import (
 from crosscomb.filters.dense import joseph_update
 from crosscomb.filters.dynamic_ekf import dynamic_step
 from crosscomb.filters.particles import RESAMPLE_BELOW, cloud, normalise, weighted_beta
-from crosscomb.filters.random_walk_pf import FIRST_SPREAD, ParticleNoise, first_guess, sin_cos
+from crosscomb.filters.random_walk_pf import FIRST_SPREAD, ParticleNoise, first_guess, sin_cos, slip_precision
 from crosscomb.filters.resampling import RESAMPLING, resample
 from crosscomb.models.random_walk import random_walk_jacobian
 from crosscomb.models.single_track import body_rates
@@ -185,7 +185,7 @@ def along(row, gain):
 
 
 @njit(cache=True)
-def draw_and_weigh(state, sample, beta_ekf, car, noise, dt):
+def draw_and_weigh(state, sample, beta_ekf, std_ekf, car, noise, dt):
     """Draw each particle's beta, update its means with the shared gains, and add its log likelihood."""
     x, log_weights, draws, gains = state.x, state.log_weights, state.scratch[0], state.gains
     gb, gr, gx, gy = six(gains[BY_BETA]), six(gains[BY_YAW]), six(gains[BY_AX]), six(gains[BY_AY])
@@ -201,8 +201,7 @@ def draw_and_weigh(state, sample, beta_ekf, car, noise, dt):
     p_yaw = 0.5 * state.precisions[BY_YAW]
     p_ax = 0.5 * state.precisions[BY_AX]
     p_ay = 0.5 * state.precisions[BY_AY]
-    # The EKF's error lasts long, so its beta counts as one measurement per second, spread over the steps.
-    p_beta = 0.5 * dt / noise.pseudo**2
+    p_beta = slip_precision(std_ekf, noise, dt)
     z_yaw = sample[YAW_RATE] if p_yaw > 0.0 else 0.0
     z_ax = sample[AX] if p_ax > 0.0 else 0.0
     z_ay = sample[AY] if p_ay > 0.0 else 0.0
@@ -247,7 +246,7 @@ def take_means(state):
 def blackwell_step(state, sample, car, noise, dt, out):
     """One sample; `out` ``(5,)`` gets beta, its standard deviation, the NIS and the lateral axle forces."""
     dynamic_step(state.ekf, sample, car, noise.ekf, dt, state.ekf_out)
-    beta_ekf = state.ekf_out[BETA]
+    beta_ekf, std_ekf = state.ekf_out[BETA], state.ekf_out[BETA_STD]
     if below_gate(sample) or state.running[0] == 0:
         low_speed_answer(sample, car, out)
         out[3] = out[4] = math.nan
@@ -257,7 +256,7 @@ def blackwell_step(state, sample, car, noise, dt, out):
         return
     share_prediction(state, sample, car, noise, dt)
     out[NIS] = share_update(state, sample, noise, dt)
-    draw_and_weigh(state, sample, beta_ekf, car, noise, dt)
+    draw_and_weigh(state, sample, beta_ekf, std_ekf, car, noise, dt)
     effective = normalise(state.log_weights, state.weights)
     take_means(state)
     out[BETA], out[BETA_STD] = weighted_beta(state)

@@ -144,12 +144,11 @@ def reference_random_walk_pf(estimator: RandomWalkPF, inputs: Inputs) -> Estimat
     """
     noise, car, dt, n = estimator.noise, estimator.car, inputs.dt, estimator.particles
     ekf = reference_dynamic_ekf(DynamicEKF(estimator.vehicle, noise.ekf, estimator.tyre), inputs)
-    inputs = Inputs(dt, np.column_stack([inputs.samples, ekf.beta]))
+    inputs = Inputs(dt, np.column_stack([inputs.samples, ekf.beta, ekf.beta_std]))
     np.random.seed(estimator.seed)  # noqa: NPY002
     rng = np.random.default_rng(estimator.seed)
     scale = np.array([1.0, 1.0, *[car.mass] * 4])
     walk = scale * [noise.yaw_acceleration, noise.slip_rate, *[noise.force] * 4] * np.sqrt(dt)
-    variances = np.array([noise.yaw_rate**2, noise.accel**2, noise.accel**2, noise.pseudo**2 / dt])
     x, weights = np.empty((6, n)), np.empty(n)
 
     def start(sample: np.ndarray, beta: float, beta_std: float) -> None:
@@ -173,6 +172,8 @@ def reference_random_walk_pf(estimator: RandomWalkPF, inputs: Inputs) -> Estimat
         x[0] += dt * yaw_acceleration + random[0]
         x[1] = np.clip(x[1] + dt * beta_rate + random[1], -base.MAX_BETA, base.MAX_BETA)
         measured = sample[[base.YAW_RATE, base.AX, base.AY, base.SAMPLE_WIDTH]]
+        slip_variance = (noise.pseudo**2 + sample[base.SAMPLE_WIDTH + 1] ** 2) / dt
+        variances = np.array([noise.yaw_rate**2, noise.accel**2, noise.accel**2, slip_variance])
         misfit = 0.5 * (np.stack([x[0], ax, ay, x[1]]).T - measured) ** 2 / variances
         misfit[:, :3] = np.minimum(misfit[:, :3], FAR_OFF)
         log_likelihood = -misfit[:, np.isfinite(measured)].sum(axis=1)

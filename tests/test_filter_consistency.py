@@ -184,7 +184,7 @@ def particle_consistency(estimator: RandomWalkPF) -> bool:
         particles = replace(estimator, seed=run).make_state()
         particles.x[:] = first_states(samples[0], rng.uniform(-1.0, 1.0, particles.x.shape).T).T
         for k in range(1, max(instants) + 1):
-            move_and_weigh(particles, samples[k], pseudo[k], estimator.car, estimator.noise, DT)
+            move_and_weigh(particles, samples[k], pseudo[k], 0.0, estimator.car, estimator.noise, DT)
             effective = normalise(particles.log_weights, particles.weights)
             if k in instants:
                 beta, beta_std = weighted_beta(particles)

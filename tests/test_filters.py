@@ -227,16 +227,16 @@ def test_particles_without_noise_follow_the_model_exactly(missing: list[int]) ->
     particles = estimator.make_state()
     first_particles(particles, slalom(20)[0].samples[0], -0.05, car)
     x, log_weights = particles.x.copy(), np.zeros(300)
-    z_beta = 0.03
+    z_beta, std_beta = 0.03, 0.02
     for sample in noisy(slalom(20)[0]).samples:
         sample[missing] = np.nan
-        move_and_weigh(particles, sample, z_beta, car, noise, DT)
+        move_and_weigh(particles, sample, z_beta, std_beta, car, noise, DT)
         for i in range(300):
             *rates, ax, ay = random_walk_rates(x[:, i], *sample[[VX, STEER, STEER_REAR]], car)
             x[:2, i] += DT * np.array(rates)
             errors = np.array([x[0, i], ax, ay]) - sample[[YAW_RATE, AX, AY]]
             misfit = 0.5 * (errors / [noise.yaw_rate, noise.accel, noise.accel]) ** 2
-            pseudo = 0.5 * DT * ((x[1, i] - z_beta) / noise.pseudo) ** 2
+            pseudo = 0.5 * DT * (x[1, i] - z_beta) ** 2 / (noise.pseudo**2 + std_beta**2)
             log_weights[i] -= np.nansum(np.minimum(misfit, 0.5 * 5.0**2)) + pseudo
     np.testing.assert_allclose(particles.x, x, rtol=1e-9, atol=1e-12)
     np.testing.assert_allclose(particles.log_weights, log_weights, rtol=1e-9)
@@ -249,7 +249,7 @@ def test_particles_are_shaken_independently_and_as_much_as_the_settings_say() ->
     particles = estimator.make_state()
     particles.x[:] = np.array([0.2, -0.05, 500.0, -300.0, 4000.0, 3000.0])[:, None]
     shaken = -particles.x
-    move_and_weigh(particles, sample, 0.0, car, noise, DT)
+    move_and_weigh(particles, sample, 0.0, 0.0, car, noise, DT)
     shaken += particles.x
     for i in range(5000):  # what is left when the forces have done their part is noise
         moved = np.array([0.2, -0.05, *particles.x[2:, i]])

@@ -89,16 +89,17 @@ def textbook(estimator: RaoBlackwellPF, inputs: Inputs, own: bool) -> tuple[np.n
     """
     noise, car, n = estimator.noise, estimator.car, estimator.particles
     rng = np.random.Generator(np.random.SFC64(estimator.seed))
-    beta_ekf = DynamicEKF(estimator.vehicle, noise.ekf).run(inputs).beta
+    ekf = DynamicEKF(estimator.vehicle, noise.ekf).run(inputs)
+    slip_variance = (noise.pseudo**2 + ekf.beta_std**2) / DT
     force = (noise.force * car.mass) ** 2
     limit = (MAX_FORCE_STD * car.mass) ** 2
     r = np.diag([noise.yaw_rate, noise.accel, noise.accel]) ** 2
     first = inputs.samples[0]
     axles = car.mass * first[AY] * np.array([car.b, car.a]) / (car.a + car.b)
     z = np.tile(np.array([first[YAW_RATE], first[FXF], first[FXR], *axles]), (n, 1))
-    beta = beta_ekf[0] + FIRST_SPREAD[1] * (2.0 * rng.random(n) - 1.0)
+    beta = ekf.beta[0] + FIRST_SPREAD[1] * (2.0 * rng.random(n) - 1.0)
     p = np.tile(np.diag(np.array([FIRST_SPREAD[0], *[2.0 * car.mass] * 4]) ** 2 / 3.0), (n, 1, 1))
-    weights, log_weights, mean = np.full(n, 1.0 / n), np.zeros(n), np.insert(z[0], 1, beta_ekf[0])
+    weights, log_weights, mean = np.full(n, 1.0 / n), np.zeros(n), np.insert(z[0], 1, ekf.beta[0])
     out, first_drawn_anew = np.full((len(inputs.samples), 4), np.nan), len(inputs.samples)
     for k in range(1, len(inputs.samples)):
         sample = inputs.samples[k]
@@ -130,7 +131,7 @@ def textbook(estimator: RaoBlackwellPF, inputs: Inputs, own: bool) -> tuple[np.n
             z[i] += gain @ off
             p[i] = pi - gain @ s @ gain.T
             fit = off @ np.linalg.solve(s, off) + np.log(np.linalg.det(s) / np.linalg.det(r))
-            log_weights[i] -= 0.5 * (fit + DT * (beta[i] - beta_ekf[k]) ** 2 / noise.pseudo**2)
+            log_weights[i] -= 0.5 * (fit + (beta[i] - ekf.beta[k]) ** 2 / slip_variance[k])
         weights = np.exp(log_weights - log_weights.max())
         weights /= weights.sum()
         mean = weights @ np.insert(z, 1, beta, axis=1)
@@ -225,14 +226,14 @@ def extended_kalman(
     white noise on beta.
     """
     car = RaoBlackwellPF(GOLF).car
-    beta_ekf = DynamicEKF(GOLF, noise.ekf).run(inputs).beta
+    ekf = DynamicEKF(GOLF, noise.ekf).run(inputs)
     first = inputs.samples[0]
     axles = car.mass * first[AY] * np.array([car.b, car.a]) / (car.a + car.b)
-    x = np.array([first[YAW_RATE], beta_ekf[0], first[FXF], first[FXR], *axles])
+    x = np.array([first[YAW_RATE], ekf.beta[0], first[FXF], first[FXR], *axles])
     p = np.diag(np.array([*FIRST_SPREAD[:2], *[2.0 * car.mass] * 4]) ** 2 / 3.0)
     walk = DT * np.diag([0.0, 0.0, *[(noise.force * car.mass) ** 2] * 4])
     shake = DT * np.diag([noise.yaw_acceleration**2, noise.slip_rate**2, 0.0, 0.0, 0.0, 0.0])
-    r = np.diag([noise.yaw_rate**2, noise.accel**2, noise.accel**2, noise.pseudo**2 / DT])
+    r = np.diag([noise.yaw_rate, noise.accel, noise.accel, 0.0]) ** 2
     slopes, out = np.empty((4, 6)), np.full((len(inputs.samples), 2), np.nan)
     for k in range(1, len(inputs.samples)):
         sample = inputs.samples[k]
@@ -244,8 +245,9 @@ def extended_kalman(
         if forgetful:
             p[1, LINEAR] = p[LINEAR, 1] = 0.0
         h = np.vstack([np.eye(6)[0], slopes[2:], np.eye(6)[1]])
+        r[3, 3] = (noise.pseudo**2 + ekf.beta_std[k] ** 2) / DT
         gain = p @ h.T @ np.linalg.inv(h @ p @ h.T + r)
-        x += gain @ (np.append(sample[[YAW_RATE, AX, AY]], beta_ekf[k]) - h @ x)
+        x += gain @ (np.append(sample[[YAW_RATE, AX, AY]], ekf.beta[k]) - h @ x)
         p = (np.eye(6) - gain @ h) @ p
         out[k] = x[1], np.sqrt(p[1, 1])
     return out[:, 0], out[:, 1]
@@ -301,7 +303,7 @@ def test_errors_are_as_large_as_the_filter_says() -> None:
         for k in range(1, steps):
             share_prediction(state, samples[k], estimator.car, NOISE, DT)
             nis += share_update(state, samples[k], NOISE, DT)
-            draw_and_weigh(state, samples[k], measured[k], estimator.car, NOISE, DT)
+            draw_and_weigh(state, samples[k], measured[k], 0.0, estimator.car, NOISE, DT)
             effective = normalise(state.log_weights, state.weights)
             take_means(state)
             if k % 12 == 0:
