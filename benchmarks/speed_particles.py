@@ -9,7 +9,7 @@ RMSE. The second, log by log: RMSE, and how far mean and standard deviation are 
 many particles, which is what all of them approach; its last column is the same for another seed of that filter, and
 shows how far the measure itself scatters.
 
-Every seed runs all filters in turn, so that all see the same machine: only the ratios of times mean anything.
+Every seed runs all filters in turn, and CPU time counts: only the ratios of times mean anything.
 """
 
 from __future__ import annotations
@@ -30,7 +30,8 @@ from crosscomb.filters.rao_blackwell_pf import RaoBlackwellPF
 from crosscomb.models.vehicle import Vehicle, load_vehicle
 from crosscomb.prepare import complete
 from crosscomb.signals import MIN_SPEED
-from crosscomb.training.simulate import Job, plan_jobs, simulate_log
+from crosscomb.training.presets import Job, plan_jobs
+from crosscomb.training.simulate import simulate_log
 
 BAR = "plain, 10,000"
 SETTLED = 100
@@ -52,7 +53,9 @@ class Case:
 
 def make_case(vehicle: Vehicle, job: Job, duration: float, reference: int) -> Case:
     """Simulate a log and run the reference filters on it."""
-    log = simulate_log(vehicle, job.manoeuvre, (7, job.number), duration=duration, surface=job.surface)
+    log = simulate_log(
+        vehicle, job.manoeuvre, (7, job.number), duration=duration, surface=job.surface, sensors=job.profile
+    )
     inputs = make_inputs(complete(log, vehicle), vehicle, 0.01)
     counts = (inputs.samples[:, VX] > MIN_SPEED) & np.isfinite(log.beta_ref)
     counts[:SETTLED] = False
@@ -79,9 +82,9 @@ def measure(filters: dict[str, AnyPF], cases: list[Case], seeds: int) -> dict[st
         for j, case in enumerate(cases):
             for name, estimator in filters.items():
                 seeded = replace(estimator, seed=seed)
-                begin = time.perf_counter()
+                begin = time.process_time()
                 estimate = seeded.run(case.inputs)
-                duration = (time.perf_counter() - begin) / len(case.beta) * 1e6
+                duration = (time.process_time() - begin) / len(case.beta) * 1e6
                 results[name][seed, j] = duration, *distances(estimate, case)
     return results
 
@@ -158,7 +161,7 @@ def main() -> None:
     }
     cases = [
         make_case(vehicle, job, options.duration, options.reference)
-        for job in track(plan_jobs(options.logs), "reference")
+        for job in track(plan_jobs(vehicle, options.logs), "reference")
     ]
     results = measure(filters, cases, options.seeds)
     console = Console()
