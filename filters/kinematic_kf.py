@@ -1,8 +1,9 @@
 """Kinematic Kalman filter: integrates the accelerometers, corrected by the speed.
 
 State [vx, vy]; inputs ax, ay and yaw rate; measurement vx (Atheupe 2023, eq. 18 to 21). Needs no tyre, so slides
-do not hurt it. Its vy is observable only while the car turns; in straight driving it drifts with the sensor
-errors, which a slow relaxation of vy towards 0 bounds.
+do not hurt it. Its vy is observable only while the car turns; in straight driving it would drift with the sensor
+errors, so there vy relaxes towards 0, with the share exp(-(yaw_rate / turning)^2) of driving that counts as
+straight. In turns nothing is forgotten.
 """
 
 from __future__ import annotations
@@ -37,20 +38,44 @@ class KinematicNoise(NamedTuple):
 
     accel: float = 0.5  # accelerometer error, bank and slope included [m/s^2 per sqrt(Hz)]
     speed: float = 0.3  # measured vx [m/s]
-    relaxation: float = 0.3  # rate at which vy forgets in unobservable driving [1/s]
+    relaxation: float = 3.0  # rate at which vy forgets in straight driving [1/s]
     missing_accel: float = 3.0  # accelerometer error while a channel is missing [m/s^2 per sqrt(Hz)]
+    turning: float = 0.1  # yaw rate from which on the car turns [rad/s]
+
+
+BLIND_RELAXATION = 0.3
+"""Rate at which vy forgets while the yaw rate is missing [1/s]: it may be a slide or a straight."""
+
+LEAST_SHARE = 1e-3
+"""A smaller share of straight driving than this is none."""
+
+
+@njit(cache=True)
+def straight_share(yaw_rate, turning):
+    """Share in which driving counts as straight, 1 at zero yaw rate; 0 where the yaw rate is not known."""
+    if not math.isfinite(yaw_rate):
+        return 0.0
+    ratio = yaw_rate / turning
+    share = math.exp(-ratio * ratio)
+    return share if share > LEAST_SHARE else 0.0
+
+
+@njit(cache=True)
+def forgetting(yaw_rate, noise, dt):
+    """Share of vy that is kept over dt."""
+    rate = noise.relaxation * straight_share(yaw_rate, noise.turning)
+    return math.exp(-dt * (rate if math.isfinite(yaw_rate) else min(noise.relaxation, BLIND_RELAXATION)))
 
 
 @njit(cache=True)
 def kinematic_predict(state, ax, ay, yaw_rate, noise, dt):
     """Predict [vx, vy] over dt with held accelerations; a missing one keeps the velocity and widens it."""
     mean, cov = state.mean, state.cov
-    density = noise.accel
+    density, decay = noise.accel, forgetting(yaw_rate, noise, dt)
     if not (math.isfinite(ax) and math.isfinite(ay) and math.isfinite(yaw_rate)):
         ax, ay, yaw_rate, density = 0.0, 0.0, 0.0, noise.missing_accel
     f00, f01, f10, f11 = rotation(yaw_rate, dt)
     g00, g01, g10, g11 = input_gain(yaw_rate, dt)
-    decay = math.exp(-noise.relaxation * dt)
     vx, vy = mean[0], mean[1]
     mean[0] = f00 * vx + f01 * decay * vy + g00 * ax + g01 * ay
     mean[1] = f10 * vx + f11 * decay * vy + g10 * ax + g11 * ay

@@ -27,7 +27,7 @@ from crosscomb.filters.base import (
     below_gate,
     low_speed_answer,
 )  # fmt: skip
-from crosscomb.filters.kinematic_kf import KinematicNoise
+from crosscomb.filters.kinematic_kf import KinematicNoise, forgetting
 from crosscomb.filters.particles import LEAST_STD, RESAMPLE_BELOW, UNIFORM, cloud, draw_uniform, normalise
 from crosscomb.filters.resampling import RESAMPLING, resample
 from crosscomb.models.kinematic import input_gain, rotation
@@ -61,14 +61,14 @@ def first_velocities(state, vx, beta, beta_std, noise):
 @njit(cache=True)
 def move_velocities(state, ax, ay, yaw_rate, noise, dt):
     """Predict every particle with held accelerations; a missing one keeps the velocity and widens it."""
-    x, draws, density = state.x, state.scratch, noise.accel
+    x, draws, density, decay = state.x, state.scratch, noise.accel, forgetting(yaw_rate, noise, dt)
     if not (math.isfinite(ax) and math.isfinite(ay) and math.isfinite(yaw_rate)):
         ax, ay, yaw_rate, density = 0.0, 0.0, 0.0, noise.missing_accel
     draw_uniform(state.rng, draws)
     f00, f01, f10, f11 = rotation(yaw_rate, dt)
     g00, g01, g10, g11 = input_gain(yaw_rate, dt)
     gained_x, gained_y = g00 * ax + g01 * ay, g10 * ax + g11 * ay
-    decay, shake = math.exp(-noise.relaxation * dt), density * math.sqrt(dt)
+    shake = density * math.sqrt(dt)
     for i in range(x.shape[1]):
         vx, vy = x[0, i], decay * x[1, i]
         # A speed that is only held cannot tell that the car stops: no particle may reverse.

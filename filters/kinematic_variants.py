@@ -41,14 +41,12 @@ from crosscomb.filters.kinematic_kf import (
     kinematic_predict,
     kinematic_start,
     kinematic_update,
+    straight_share,
     velocity_answer,
 )
 from crosscomb.models.kinematic import input_gain
 from crosscomb.models.single_track import single_track_rates, stable_substeps
 from crosscomb.signals import MIN_SPEED
-
-LEAST_SHARE = 1e-3
-"""A smaller share of straight driving than this is none."""
 
 
 class ZeroYawNoise(NamedTuple):
@@ -56,7 +54,7 @@ class ZeroYawNoise(NamedTuple):
 
     accel: float = 0.5  # accelerometer error, bank and slope included [m/s^2 per sqrt(Hz)]
     speed: float = 0.3  # measured vx [m/s]
-    relaxation: float = 0.1  # rate at which vy forgets in turns [1/s]
+    relaxation: float = 0.1  # rate at which vy forgets in straight driving [1/s]
     missing_accel: float = 3.0  # accelerometer error while a channel is missing [m/s^2 per sqrt(Hz)]
     turning: float = 0.1  # yaw rate from which on the car turns [rad/s]
     pseudo: float = 0.012  # error of the steady beta, counted once per second [rad]
@@ -67,19 +65,9 @@ class BlendNoise(NamedTuple):
 
     accel: float = 0.5  # accelerometer error, bank and slope included [m/s^2 per sqrt(Hz)]
     speed: float = 0.3  # measured vx [m/s]
-    relaxation: float = 0.1  # rate at which vy forgets in turns [1/s]
+    relaxation: float = 0.1  # rate at which vy forgets in straight driving [1/s]
     missing_accel: float = 3.0  # accelerometer error while a channel is missing [m/s^2 per sqrt(Hz)]
     turning: float = 0.1  # yaw rate from which on the car turns [rad/s]
-
-
-@njit(cache=True)
-def straight_share(yaw_rate, turning):
-    """Share in which driving counts as straight, 1 at zero yaw rate; 0 where the yaw rate is not known."""
-    if not math.isfinite(yaw_rate):
-        return 0.0
-    ratio = yaw_rate / turning
-    share = math.exp(-ratio * ratio)
-    return share if share > LEAST_SHARE else 0.0
 
 
 @njit(cache=True)

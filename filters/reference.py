@@ -16,11 +16,16 @@ from filterpy.monte_carlo import systematic_resample
 from crosscomb.filters import base
 from crosscomb.filters.base import Estimate, Inputs
 from crosscomb.filters.dynamic_ekf import DynamicEKF
-from crosscomb.filters.kinematic_kf import KinematicKF
+from crosscomb.filters.kinematic_kf import BLIND_RELAXATION, LEAST_SHARE, KinematicKF
 from crosscomb.filters.random_walk_pf import FAR_OFF, FIRST_SPREAD, RandomWalkPF
 from crosscomb.models.kinematic import input_gain, rotation
 from crosscomb.models.single_track import SingleTrack, body_rates, single_track_rates, stable_substeps
 from crosscomb.signals import MIN_SPEED
+
+
+def _straight(yaw_rate: float, turning: float) -> float:
+    share = math.exp(-((yaw_rate / turning) ** 2))
+    return share if share > LEAST_SHARE else 0.0
 
 
 def reference_kinematic_kf(estimator: KinematicKF, inputs: Inputs) -> Estimate:
@@ -35,7 +40,6 @@ def reference_kinematic_kf(estimator: KinematicKF, inputs: Inputs) -> Estimate:
     kf = KalmanFilter(dim_x=2, dim_z=1, dim_u=2)
     kf.H = np.array([[1.0, 0.0]])
     kf.R = np.array([[noise.speed**2]])
-    forget = np.diag([1.0, math.exp(-noise.relaxation * dt)])
 
     def start(sample: np.ndarray, beta: float, beta_std: float) -> None:
         kf.x = np.array([[sample[base.VX]], [sample[base.VX] * math.tan(beta)]])
@@ -44,6 +48,10 @@ def reference_kinematic_kf(estimator: KinematicKF, inputs: Inputs) -> Estimate:
     def step(sample: np.ndarray) -> tuple[float, float, float]:
         vx, ax, ay, yaw_rate, *_ = sample.tolist()
         density = noise.accel
+        rate = noise.relaxation * _straight(yaw_rate, noise.turning)
+        if not math.isfinite(yaw_rate):
+            rate = min(noise.relaxation, BLIND_RELAXATION)
+        forget = np.diag([1.0, math.exp(-rate * dt)])
         if not math.isfinite(ax + ay + yaw_rate):
             ax, ay, yaw_rate, density = 0.0, 0.0, 0.0, noise.missing_accel
         kf.predict(

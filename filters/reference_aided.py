@@ -16,7 +16,8 @@ from crosscomb.filters import base
 from crosscomb.filters.base import MAX_BETA, Estimate, Inputs
 from crosscomb.filters.gnss_dynamic import GnssDynamicObserver
 from crosscomb.filters.gnss_kinematic import UNKNOWN_HEADING, GnssKinematicKF
-from crosscomb.filters.kinematic_variants import LEAST_SHARE, ZeroYawKF
+from crosscomb.filters.kinematic_kf import LEAST_SHARE
+from crosscomb.filters.kinematic_variants import ZeroYawKF
 from crosscomb.filters.reference import _nis, _SingleTrackEKF, _walk
 from crosscomb.models.kinematic import input_gain, rotation
 from crosscomb.models.single_track import single_track_rates, stable_substeps
@@ -43,7 +44,6 @@ def reference_zero_yaw_kf(estimator: ZeroYawKF, inputs: Inputs) -> Estimate:
     """
     noise, car, dt = estimator.noise, estimator.car, inputs.dt
     kf = KalmanFilter(dim_x=2, dim_z=2, dim_u=2)
-    forget = np.diag([1.0, math.exp(-noise.relaxation * dt)])
 
     def start(sample: np.ndarray, beta: float, beta_std: float) -> None:
         kf.x = np.array([[sample[base.VX]], [sample[base.VX] * math.tan(beta)]])
@@ -51,16 +51,18 @@ def reference_zero_yaw_kf(estimator: ZeroYawKF, inputs: Inputs) -> Estimate:
 
     def step(sample: np.ndarray) -> tuple[float, float, float]:
         vx, ax, ay, yaw_rate, _, steer_rear, *_ = sample.tolist()
+        share = math.exp(-((yaw_rate / noise.turning) ** 2))
+        share = share if share > LEAST_SHARE else 0.0
+        forget = np.diag([1.0, math.exp(-noise.relaxation * share * dt)])
         kf.predict(
             u=np.array([[ax], [ay]]),
             B=np.array(input_gain(yaw_rate, dt)).reshape(2, 2),
             F=np.array(rotation(yaw_rate, dt)).reshape(2, 2) @ forget,
             Q=noise.accel**2 * dt,
         )
-        share = math.exp(-((yaw_rate / noise.turning) ** 2))
         rear_force = car.mass * ay * car.a / (car.a + car.b)
         steady = steer_rear + car.b * yaw_rate / vx - rear_force / car.stiffness_rear
-        rows = 2 if share > LEAST_SHARE else 1
+        rows = 2 if share > 0.0 else 1
         z = np.array([[vx], [vx * math.tan(steady)]])[:rows]
         kf.dim_z = rows
         pseudo = (noise.pseudo * vx) ** 2 / (dt * max(share, LEAST_SHARE))

@@ -62,13 +62,14 @@ def turn(ay: float) -> np.ndarray:
 def kinematic_drive(rng: np.random.Generator) -> Drive:
     """A drive of the kinematic model; what the accelerometers miss is white noise on the velocity."""
     noise, samples = KF.noise, turn(6.0)
-    forget = np.diag([1.0, np.exp(-noise.relaxation * DT)])
     truth = np.empty((STEPS, 2))
     rolling = slip_of_rolling_rear(samples[0, STEER], 0.0, KF.car.a, KF.car.b)
     truth[0] = rng.normal([20.0, 20.0 * np.tan(rolling)], [noise.speed, 20.0 * LOW_SPEED_STD])
     for k in range(1, STEPS):
         ax, ay, yaw_rate = samples[k, [AX, AY, YAW_RATE]]
         held = np.reshape(input_gain(yaw_rate, DT), (2, 2)) @ [ax, ay]
+        straight = np.exp(-((yaw_rate / noise.turning) ** 2))
+        forget = np.diag([1.0, np.exp(-noise.relaxation * straight * DT)])
         turned = np.reshape(rotation(yaw_rate, DT), (2, 2)) @ forget @ truth[k - 1]
         truth[k] = turned + held + rng.normal(0.0, noise.accel * np.sqrt(DT), 2)
         samples[k, VX] = truth[k, 0] + rng.normal(0.0, noise.speed)

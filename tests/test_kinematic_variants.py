@@ -19,13 +19,11 @@ from crosscomb.filters.base import (
     Inputs,
     KernelFilter,
 )
-from crosscomb.filters.kinematic_kf import KinematicKF, KinematicNoise
+from crosscomb.filters.kinematic_kf import LEAST_SHARE, KinematicKF, KinematicNoise, straight_share
 from crosscomb.filters.kinematic_variants import (
-    LEAST_SHARE,
     BlendKF,
     BlendNoise,
     ZeroYawKF,
-    straight_share,
 )
 from crosscomb.filters.reference import _walk
 from crosscomb.filters.reference_aided import reference_zero_yaw_kf
