@@ -7,9 +7,13 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
+from crosscomb.choice import Choice
+from crosscomb.correction import Correction
 from crosscomb.errors import UsageError
+from crosscomb.features import layout
 from crosscomb.files import write_text
 from crosscomb.filters.catalogue import CATALOGUE, make_filter
 from crosscomb.models.vehicle import Vehicle, describe, load_vehicle
@@ -17,7 +21,7 @@ from crosscomb.selector import Tree
 from crosscomb.switch import SwitchSettings
 from crosscomb.windows import WindowSettings
 
-SCHEMA_VERSION = 1
+SCHEMA_VERSION = 2
 
 
 class FilterSettings(BaseModel):
@@ -27,6 +31,31 @@ class FilterSettings(BaseModel):
 
     name: str
     settings: dict[str, Any] = {}
+
+
+class Trust(BaseModel):
+    """How doubt is calibrated, so that beta +- 1.96 beta_std holds the truth in 95 % of the samples.
+
+    Attributes
+    ----------
+    disagreement : float
+        Share of the spread of the filters' beta that counts as standard deviation.
+    floor : float
+        Least standard deviation before scaling [rad].
+    scale : float
+        Found on recordings left out of the fit.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    disagreement: float = Field(default=0.0, ge=0.0)
+    floor: float = Field(default=0.0, ge=0.0)
+    scale: float = Field(default=1.0, gt=0.0)
+
+    def widen(self, beta_std: np.ndarray, beta: np.ndarray) -> np.ndarray:
+        """Calibrated standard deviation ``(n,) [rad]`` of an answer with what the filters say ``(n, filters)``."""
+        spread = np.nan_to_num(beta.max(axis=1) - beta.min(axis=1))
+        return self.scale * np.sqrt(beta_std**2 + (self.disagreement * spread) ** 2 + self.floor**2)
 
 
 class Artefact(BaseModel):
@@ -40,6 +69,14 @@ class Artefact(BaseModel):
         In the order of the tree's classes.
     fallback : str
         Filter that is active before the first decision.
+    tree : Tree
+        Selects the filter, unless there is a choice.
+    tree_sees_all : bool
+        The tree looks at all features (`crosscomb.features`) instead of the windows of ay and yaw rate.
+    choice : Choice or None
+        Boosted trees that select or blend.
+    correction : Correction or None
+    trust : Trust
     vehicle : Vehicle or None
         The car it was trained for; None when there were several.
     training : dict
@@ -56,6 +93,10 @@ class Artefact(BaseModel):
     fallback: str
     switch: SwitchSettings
     tree: Tree
+    tree_sees_all: bool = False
+    choice: Choice | None = None
+    correction: Correction | None = None
+    trust: Trust = Trust()
     vehicle: Vehicle | None = None
     training: dict[str, Any] = {}
 
@@ -71,11 +112,30 @@ class Artefact(BaseModel):
             raise ValueError(f"fallback {self.fallback} is none of the filters {', '.join(names)}")
         if self.tree.n_classes != len(names):
             raise ValueError(f"the tree has {self.tree.n_classes} classes for {len(names)} filters")
-        if len(self.tree.lowest) != len(self.window.names):
-            raise ValueError(
-                f"the tree has {len(self.tree.lowest)} features, its windows {len(self.window.names)}"
-            )
+        everything = len(layout(names).names)
+        seen = everything if self.tree_sees_all else len(self.window.names)
+        if len(self.tree.lowest) != seen:
+            raise ValueError(f"the tree has {len(self.tree.lowest)} features, its input {seen}")
+        if self.choice is not None:
+            if len(self.choice.trees.baseline) != len(names):
+                raise ValueError(
+                    f"the choice has {len(self.choice.trees.baseline)} outputs for {len(names)} filters"
+                )
+            if self.choice.trees.n_features > everything:
+                raise ValueError("the choice asks for features that are not there")
+        if self.correction is not None:
+            if self.correction.anchor not in names:
+                raise ValueError(
+                    f"the corrected filter {self.correction.anchor} is none of {', '.join(names)}"
+                )
+            if len(self.correction.lowest) != everything:
+                raise ValueError(f"the correction has {len(self.correction.lowest)} features of {everything}")
         return self
+
+    @property
+    def sees_all(self) -> bool:
+        """Whether anything looks at all features."""
+        return self.tree_sees_all or self.choice is not None or self.correction is not None
 
     @property
     def filter_names(self) -> list[str]:

@@ -178,7 +178,9 @@ def train(
     output: Annotated[Path, typer.Option("-o", "--output", help="Artefact to write.")] = Path(
         "selector.json"
     ),
-    selector: Annotated[str, typer.Option("--selector", help="Kind of selector: tree or paper.")] = "tree",
+    selector: Annotated[
+        str, typer.Option("--selector", help="Kind of selector; unknown ones are answered with the list.")
+    ] = "tree",
     folds: Annotated[int, typer.Option("--folds", min=2, max=50, help="Grouped folds, by recording.")] = 5,
     seed: SeedOption = 0,
     rate: Annotated[float, typer.Option("--rate", min=10.0, max=1000.0, help="Working rate [Hz].")] = 100.0,
@@ -214,7 +216,7 @@ def train(
     inputs = [*_existing(vehicle, channel_map), *cars, *(r.path for r in recordings)]
     record_file = output.with_suffix(".run.json")
     refuse_overwriting(inputs, [output, record_file, *beside_artefact(output)])
-    with terminal.progress("training", steps(recordings, selector)) as advance:
+    with terminal.progress("training", steps(recordings, folds)) as advance:
         training = run_training(recordings, selector, folds, seed, rate, jobs, advance, names)
     save_artefact(training.artefact, output)
     paths = write_training(training, output, notes)

@@ -10,11 +10,13 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
+from crosscomb.answer import Answer, select, start_selection
 from crosscomb.artefact import Artefact, FilterSettings
 from crosscomb.channel_map import ChannelMap
 from crosscomb.errors import UsageError
+from crosscomb.features import all_features, make_memory
 from crosscomb.files import refuse_overwriting, write_text
-from crosscomb.filters.base import KernelFilter, make_inputs
+from crosscomb.filters.base import Inputs, KernelFilter, make_inputs
 from crosscomb.filters.catalogue import CATALOGUE, make_filter
 from crosscomb.logs import log_name, read_log
 from crosscomb.models.vehicle import Vehicle, load_vehicle
@@ -22,7 +24,6 @@ from crosscomb.plausibility import check_units
 from crosscomb.prepare import complete
 from crosscomb.resample import Segment, resample, rows_to_grid
 from crosscomb.signals import MIN_SPEED, REFERENCES, Signals
-from crosscomb.switch import switch
 from crosscomb.windows import WindowSettings, window_features
 
 STALE = 1.0
@@ -51,6 +52,9 @@ class FilterRun:
     beta, beta_std, nis : (n, filters) [rad], [rad], [-]
     features : (n, f) float32
         Of the window that ends at each sample.
+    inputs : Inputs
+        What the filters saw.
+    vehicle : Vehicle
     """
 
     segment: Segment
@@ -58,6 +62,20 @@ class FilterRun:
     beta_std: np.ndarray
     nis: np.ndarray
     features: np.ndarray
+    inputs: Inputs
+    vehicle: Vehicle
+
+    def answer(self, artefact: Artefact) -> Answer:
+        """Let the artefact's selector make one answer of its filters."""
+        selection = start_selection(artefact, self.vehicle)
+        return select(selection, self.inputs.samples, self.beta, self.beta_std, self.nis, self.features)
+
+    def all_features(self) -> np.ndarray:
+        """All features of every sample ``(n, f) float32``, see `crosscomb.features`."""
+        memory = make_memory(self.beta.shape[1])
+        return all_features(
+            self.inputs.samples, self.beta, self.beta_std, self.nis, self.vehicle, self.inputs.dt, memory
+        )
 
     def only(self, members: Sequence[int]) -> FilterRun:
         """Keep some of the filters, in the order given."""
@@ -125,6 +143,8 @@ def run_filters(
                 features=window_features(
                     segment.signals.column("ay"), segment.signals.column("yaw_rate"), window
                 ),
+                inputs=inputs,
+                vehicle=vehicle,
             )
         )
     return runs
@@ -181,35 +201,20 @@ def estimate_log(
     parts = []
     for run in runs:
         if switched:
-            beta, beta_std, chosen = select(run.only(members), artefact)
+            answer = run.only(members).answer(artefact)
         else:
-            beta, beta_std, chosen = (
-                run.beta[:, 0],
-                run.beta_std[:, 0],
-                np.zeros(len(run.beta), dtype=np.int64),
-            )
-        active = np.array(members)[chosen]
-        status = _status(run.segment.signals, artefact.tree.outside(run.features), artefact.rate)
+            nothing = np.zeros(len(run.beta), dtype=np.int64)
+            answer = Answer(run.beta[:, 0], run.beta_std[:, 0], nothing, nothing > 0, nothing)
+        active = np.array(members)[answer.active]
+        status = _status(run.segment.signals, answer.outside, artefact.rate)
         rows = signals.t[run.segment.start_row : run.segment.stop_row]
         at = rows_to_grid(rows, run.segment, artefact.rate)
-        parts.append((beta[at], beta_std[at], np.array(names)[active[at]], status[at], run.beta[at]))
+        parts.append(
+            (answer.beta[at], answer.beta_std[at], np.array(names)[active[at]], status[at], run.beta[at])
+        )
     beta, beta_std, active, status, each = (np.concatenate(column) for column in zip(*parts, strict=True))
     betas = {name: each[:, i] for i, name in enumerate(names)}
     return LogEstimate(signals, beta, beta_std, active, status, betas)
-
-
-def select(run: FilterRun, artefact: Artefact) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Let the artefact's tree and switch choose among the filters of one segment.
-
-    Returns
-    -------
-    beta, beta_std : (n,) [rad]
-    active : (n,) int
-        Index of the active filter.
-    """
-    decision = artefact.tree.predict(run.features)
-    first = artefact.filter_names.index(artefact.fallback)
-    return switch(run.beta, run.beta_std, decision, artefact.switch, 1.0 / artefact.rate, first)
 
 
 def _status(signals: Signals, outside: np.ndarray, rate: float) -> np.ndarray:

@@ -151,7 +151,7 @@ def metrics_json(training: Training) -> str:
     """Scores of a training for programs [deg]."""
     content = {
         "selector": training.artefact.selector_name,
-        "depth": training.depth,
+        "depth": training.shape.depth,
         "parts": {
             part: {
                 "recordings": list(map(str, evaluation.table.index)),
@@ -186,13 +186,13 @@ def training_page(training: Training, artefact_name: str, notes: Sequence[str]) 
     record = training.artefact.training
     blocks = [
         f"<h1>{html.escape(artefact_name)}</h1>",
-        f"<p class=note>Selector {html.escape(training.artefact.selector_name)}, depth {training.depth}; "
+        f"<p class=note>Selector {html.escape(training.artefact.selector_name)}, depth {training.shape.depth}; "
         f"{len(record['data'])} recordings, seed {record['seed']}. Every figure below is of trees that had not seen "
         f"the recording; the tree in the file was fitted on all of them afterwards.</p>",
     ]
     explained = {
-        "folds": "Grouped folds inside the training part (75 %). The depth was chosen by these: "
-        "they flatter a little.",
+        "folds": "Grouped folds inside the training part (75 %). What was chosen or calibrated was so on folds "
+        "inside each of them.",
         "validation": "Validation part (15 %): judged by a tree fitted on the training part.",
         "test": "Test part (10 %): judged by the same tree.",
     }

@@ -15,6 +15,9 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from crosscomb.filters.base import hold
 
+LEAST_YAW_RATE = 0.01
+"""Below this yaw rate [rad/s] the slope of ay over yaw rate means nothing and goes to 0."""
+
 
 class WindowSettings(BaseModel):
     """How windows are cut.
@@ -47,58 +50,95 @@ class WindowSettings(BaseModel):
                 for channel, unit in (("ay", "m/s^2"), ("yaw_rate", "rad/s"))
                 for k in range(self.length)
             ]
-        spans = (self.length, self.length * self.history)
-        per_channel = [
-            f"{statistic}({channel}, {span} samples) [{unit}]"
-            for span in spans
-            for channel, unit in (("ay", "m/s^2"), ("yaw_rate", "rad/s"))
-            for statistic in ("mean", "mean abs", "std", "min", "max")
-        ]
-        products = [f"mean(ay yaw_rate, {span} samples) [m rad/s^3]" for span in spans]
-        return per_channel + products
+        channels = (("ay", "m/s^2"), ("yaw_rate", "rad/s"))
+        statistics = ("abs mean", "mean abs", "std", "max abs")
+        names = []
+        for span in (self.length, self.length * self.history):
+            names += [
+                f"{one}({name}, {span} samples) [{unit}]" for name, unit in channels for one in statistics
+            ]
+            names += [
+                f"mean(ay yaw_rate, {span} samples) [m rad/s^3]",
+                f"slope(ay over yaw_rate, {span} samples) [m/s]",
+                f"rms(ay - slope yaw_rate, {span} samples) [m/s^2]",
+            ]
+        return names
+
+    @property
+    def memory(self) -> int:
+        """Samples that the features of one sample look at."""
+        return self.length if self.features == "raw" else self.length * self.history
 
 
 @njit(cache=True)
 def _statistics(values, start, stop, out):
-    """Mean, mean magnitude, standard deviation, least and largest of values[start:stop]."""
+    """Magnitude of the mean, mean magnitude, standard deviation and largest magnitude of values[start:stop].
+
+    Magnitudes, so that a turn to the left and its mirror image look the same.
+    """
     n = stop - start
-    total, magnitude, least, largest = 0.0, 0.0, math.inf, -math.inf
+    total, magnitude, largest = 0.0, 0.0, 0.0
     for i in range(start, stop):
         total += values[i]
         magnitude += abs(values[i])
-        least = min(least, values[i])
-        largest = max(largest, values[i])
+        largest = max(largest, abs(values[i]))
     mean = total / n
     squares = 0.0
     for i in range(start, stop):
         squares += (values[i] - mean) ** 2
-    out[0], out[1], out[2], out[3], out[4] = mean, magnitude / n, math.sqrt(squares / n), least, largest
+    out[0], out[1], out[2], out[3] = abs(mean), magnitude / n, math.sqrt(squares / n), largest
+
+
+@njit(cache=True)
+def _line(ay, yaw_rate, start, stop, out):
+    """Mean product, slope of ay over yaw rate, and what the slope leaves over.
+
+    While vy is steady, ay = vx yaw_rate: the slope is the speed, and what is left over is the rate of vy.
+    """
+    n = stop - start
+    product, square, own = 0.0, 0.0, 0.0
+    for i in range(start, stop):
+        product += ay[i] * yaw_rate[i]
+        square += yaw_rate[i] * yaw_rate[i]
+        own += ay[i] * ay[i]
+    slope = product / max(square, n * LEAST_YAW_RATE * LEAST_YAW_RATE)
+    left = own - 2.0 * slope * product + slope * slope * square
+    out[0], out[1], out[2] = product / n, slope, math.sqrt(max(left, 0.0) / n)
+
+
+@njit(cache=True)
+def statistics_at(ay, yaw_rate, k, length, history, out):
+    """Write the features of sample k: of its window, and of the windows before it with it."""
+    for level in range(2):
+        span = length if level == 0 else length * history
+        # At the start of a log the window is what there is.
+        start = max(0, k + 1 - span)
+        _statistics(ay, start, k + 1, out[11 * level : 11 * level + 4])
+        _statistics(yaw_rate, start, k + 1, out[11 * level + 4 : 11 * level + 8])
+        _line(ay, yaw_rate, start, k + 1, out[11 * level + 8 : 11 * level + 11])
 
 
 @njit(cache=True)
 def _statistics_run(ay, yaw_rate, length, history, out):
-    """Fill the features of every sample, statistics of the window and of the windows before it with it."""
+    """Fill the features of every sample."""
     for k in range(ay.size):
-        for level in range(2):
-            span = length if level == 0 else length * history
-            # At the start of a log the window is what there is.
-            start = max(0, k + 1 - span)
-            _statistics(ay, start, k + 1, out[k, 10 * level : 10 * level + 5])
-            _statistics(yaw_rate, start, k + 1, out[k, 10 * level + 5 : 10 * level + 10])
-            product = 0.0
-            for i in range(start, k + 1):
-                product += ay[i] * yaw_rate[i]
-            out[k, 20 + level] = product / (k + 1 - start)
+        statistics_at(ay, yaw_rate, k, length, history, out[k])
+
+
+@njit(cache=True)
+def raw_at(ay, yaw_rate, k, length, out):
+    """Write the samples of the window of sample k; before the log is its first sample."""
+    for j in range(length):
+        i = max(0, k + 1 - length + j)
+        out[j] = ay[i]
+        out[length + j] = yaw_rate[i]
 
 
 @njit(cache=True)
 def _raw_run(ay, yaw_rate, length, out):
-    """Fill the features of every sample with the samples of its window; before the log is its first sample."""
+    """Fill the features of every sample with the samples of its window."""
     for k in range(ay.size):
-        for j in range(length):
-            i = max(0, k + 1 - length + j)
-            out[k, j] = ay[i]
-            out[k, length + j] = yaw_rate[i]
+        raw_at(ay, yaw_rate, k, length, out[k])
 
 
 def window_features(ay: np.ndarray, yaw_rate: np.ndarray, settings: WindowSettings) -> np.ndarray:

@@ -3,11 +3,18 @@
 import numpy as np
 import pytest
 
-from crosscomb.switch import SwitchSettings, switch
+from crosscomb.switch import SwitchSettings, make_switch_state, switch_times
+from crosscomb.switch import switch as run_switch
 
 DT = 0.01
 N = 3000
 AT_ONCE = SwitchSettings(dwell=0.0, confirm=0.0, transition=0.0)
+
+
+def switch(beta, beta_std, decision, settings, dt, first):
+    """Run a whole drive."""
+    state = make_switch_state(beta.shape[1], first, switch_times(settings, dt))
+    return run_switch(beta, beta_std, decision, settings, dt, state)
 
 
 def wandering(seed: int = 0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -162,3 +169,46 @@ def test_later_samples_change_nothing(k):
     after = switch(beta, beta_std, decision, SwitchSettings(), DT, 0)
     for one, other in zip(before, after, strict=True):
         np.testing.assert_array_equal(one[: k + 1], other[: k + 1])
+
+
+@pytest.mark.parametrize("sizes", [(1,), (7, 1, 300)])
+def test_pieces_make_the_same_drive(sizes):
+    beta, beta_std, decision = wandering()
+    beta[700:705, 1] = np.nan
+    whole = switch(beta, beta_std, decision, SwitchSettings(), DT, 0)
+    state = make_switch_state(3, 0, switch_times(SwitchSettings(), DT))
+    parts, at = [], 0
+    while at < N:
+        cut = slice(at, at + sizes[len(parts) % len(sizes)])
+        parts.append(run_switch(beta[cut], beta_std[cut], decision[cut], SwitchSettings(), DT, state))
+        at = cut.stop
+    for one, pieces in zip(whole, zip(*parts, strict=True), strict=True):
+        np.testing.assert_array_equal(one, np.concatenate(pieces))
+
+
+def barred_until(beta: np.ndarray, settings: SwitchSettings) -> int:
+    """Sample at which filter 1 is active first, when it is wanted from sample 100 on."""
+    beta_std, decision = np.full((N, 2), 0.01), (np.arange(N) >= 100).astype(int)
+    _, _, active = switch(beta, beta_std, decision, settings, DT, 0)
+    return int(np.flatnonzero(active)[0])
+
+
+def test_a_filter_that_was_lost_jumped_or_stood_still_must_settle_first():
+    settings = SwitchSettings(dwell=0.0, confirm=0.0, settle=0.5, stale=0.3)
+    sound = np.stack([0.05 * np.sin(DT * np.arange(N)), 0.05 * np.cos(DT * np.arange(N))], axis=1)
+    assert barred_until(sound, settings) == 100
+    lost, jumped, still = sound.copy(), sound.copy(), sound.copy()
+    lost[90:96, 1] = np.nan
+    assert barred_until(lost, settings) == 96 + 50
+    jumped[95:, 1] += 0.3  # 17 deg in 10 ms: it was started anew
+    assert barred_until(jumped, settings) == 96 + 50
+    still[50:200, 1] = still[50, 1]
+    assert barred_until(still, settings) == 200 + 50
+
+
+def test_an_active_filter_that_stands_still_gives_way():
+    beta = np.stack([0.05 * np.sin(DT * np.arange(N)), 0.05 * np.cos(DT * np.arange(N))], axis=1)
+    beta[1000:1500, 0] = beta[1000, 0]
+    _, _, active = switch(beta, np.full((N, 2), 0.01), np.zeros(N, dtype=int), SwitchSettings(), DT, 0)
+    assert set(active[:1040]) == set(active[1600:]) == {0}
+    assert set(active[1060:1500]) == {1}

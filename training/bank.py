@@ -49,9 +49,9 @@ class BankRun:
         """Estimate of the oracle ``(n,) [rad]``; see `crosscomb.training.labels.oracle_beta`."""
         return self.joined(lambda run: oracle_beta(run, length))
 
-    def windows(self, settings: WindowSettings) -> Windows:
-        """Labelled windows of the recording."""
-        return concatenate([label_run(run, settings) for run in self.runs])
+    def windows(self, settings: WindowSettings, everything: bool = False) -> Windows:
+        """Labelled windows of the recording; see `crosscomb.training.labels.label_run`."""
+        return concatenate([label_run(run, settings, everything) for run in self.runs])
 
 
 def run_one(

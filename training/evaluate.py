@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
+from crosscomb.answer import Answer
 from crosscomb.artefact import Artefact
-from crosscomb.estimate import select
 from crosscomb.training.bank import BankRun
-from crosscomb.training.labels import Windows
+from crosscomb.training.labels import label_run, window_ends
 from crosscomb.training.metrics import coverage, score
 
 ZERO, SWITCH, ORACLE = "zero", "switch", "oracle"
@@ -64,15 +64,23 @@ class Evaluation:
 
 def evaluate(banks: Sequence[BankRun], artefact: Artefact) -> Evaluation:
     """Score an artefact on recordings; its fitted part must not have seen them."""
-    rows = {bank.recording.name: evaluate_one(bank, artefact) for bank in banks}
+    rows, classes = {}, len(artefact.filters)
+    confusion = np.zeros((classes, classes), dtype=np.int64)
+    for bank in banks:
+        answers = [run.answer(artefact) for run in bank.runs]
+        rows[bank.recording.name] = evaluate_one(bank, answers, artefact)
+        confusion += confusion_of(bank, answers, artefact)
     columns = list(next(iter(rows.values())))
     values = [[row[column] for column in columns] for row in rows.values()]
     table = pd.DataFrame(values, index=list(rows), columns=pd.MultiIndex.from_tuples(columns))
-    classes = len(artefact.filters)
-    confusion = np.zeros((classes, classes), dtype=np.int64)
-    for bank in banks:
-        confusion += confusion_of(bank.windows(artefact.window), artefact)
     return Evaluation(table, confusion)
+
+
+def pool(evaluations: Sequence[Evaluation]) -> Evaluation:
+    """Put the evaluations of several folds together."""
+    return Evaluation(
+        pd.concat([one.table for one in evaluations]), np.sum([one.confusion for one in evaluations], axis=0)
+    )
 
 
 def score_filters(banks: Sequence[BankRun], names: Sequence[str]) -> pd.DataFrame:
@@ -86,10 +94,13 @@ def score_filters(banks: Sequence[BankRun], names: Sequence[str]) -> pd.DataFram
     return pd.DataFrame(rows, index=[bank.recording.name for bank in banks], columns=columns)
 
 
-def evaluate_one(bank: BankRun, artefact: Artefact) -> dict[tuple[str, str], float]:
-    """Scores of one recording [deg]."""
-    chosen = [select(run, artefact) for run in bank.runs]
-    beta, beta_std, active = (np.concatenate(part) for part in zip(*chosen, strict=True))
+def evaluate_one(
+    bank: BankRun, answers: Sequence[Answer], artefact: Artefact
+) -> dict[tuple[str, str], float]:
+    """Scores of one recording [deg], from the answers to its segments."""
+    beta = np.concatenate([answer.beta for answer in answers])
+    beta_std = np.concatenate([answer.beta_std for answer in answers])
+    active = np.concatenate([answer.active for answer in answers])
     each = bank.joined(lambda run: run.beta)
     estimates = {ZERO: np.zeros_like(beta)}
     estimates |= {name: each[:, i] for i, name in enumerate(artefact.filter_names)}
@@ -109,9 +120,12 @@ def evaluate_one(bank: BankRun, artefact: Artefact) -> dict[tuple[str, str], flo
     return row
 
 
-def confusion_of(windows: Windows, artefact: Artefact) -> np.ndarray:
-    """Count windows by best filter (rows) and selected filter (columns)."""
+def confusion_of(bank: BankRun, answers: Sequence[Answer], artefact: Artefact) -> np.ndarray:
+    """Count windows by best filter (rows) and filter that the selector wanted (columns)."""
     classes = len(artefact.filters)
     counts = np.zeros((classes, classes), dtype=np.int64)
-    np.add.at(counts, (windows.label, artefact.tree.predict(windows.features)), 1)
+    for run, answer in zip(bank.runs, answers, strict=True):
+        signals = run.segment.signals
+        ends = window_ends(signals.beta_ref, signals.column("vx"), artefact.window)
+        np.add.at(counts, (label_run(run, artefact.window).label, answer.decision[ends]), 1)
     return counts

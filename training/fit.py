@@ -1,15 +1,53 @@
-"""Fit a decision tree on labelled windows and take it over into crosscomb's own arrays."""
+"""Fit a selector on the windows of some recordings: its shape and its trust come from folds inside them."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from sklearn.tree import DecisionTreeClassifier
 
+from crosscomb.artefact import Artefact, FilterSettings, Trust
+from crosscomb.choice import Choice
+from crosscomb.correction import Correction
+from crosscomb.models.vehicle import Vehicle
 from crosscomb.selector import Tree
-from crosscomb.training.labels import Windows
+from crosscomb.switch import SwitchSettings
+from crosscomb.training.bank import BankRun
+from crosscomb.training.fit_boosted import (
+    conformal_scale,
+    fit_choice,
+    fit_correction,
+    fit_doubt,
+    fit_temperature,
+    mirror_signs,
+)
+from crosscomb.training.folds import grouped_folds
+from crosscomb.training.labels import Windows, concatenate
+from crosscomb.training.metrics import score
 from crosscomb.windows import WindowSettings
+
+
+@dataclass(frozen=True)
+class TreeShape:
+    """How large a tree may grow.
+
+    Attributes
+    ----------
+    depth : int
+    leaf : float
+        Least share of the weight in a leaf: fewer windows come from one or two recordings only.
+    pruning : float
+        Cost-complexity pruning: a branch must bring this much.
+    """
+
+    depth: int
+    leaf: float
+    pruning: float = 1e-4
+
+
+SHAPES = (TreeShape(3, 0.02), TreeShape(5, 0.01), TreeShape(8, 0.003))
 
 
 @dataclass(frozen=True)
@@ -22,52 +60,96 @@ class SelectorKind:
     window : WindowSettings
     by_regret : bool
         Weigh every choice in a window by the error it saves, instead of one plain label per window.
-    depths : tuple of int
-        Depths to choose from by the folds; one only is taken as it is.
+    shapes : tuple of TreeShape
+        Trees to choose from by inner folds; one only is taken as it is.
+    all_signals : bool
+        The tree looks at all features instead of the windows.
+    choice : {"", "hard", "soft"}
+        Boosted trees on all features that switch, or blend by probability.
+    corrected : bool
+        A learned correction on top.
     """
 
     summary: str
     window: WindowSettings
-    by_regret: bool
-    depths: tuple[int, ...]
+    by_regret: bool = True
+    shapes: tuple[TreeShape, ...] = SHAPES
+    all_signals: bool = False
+    choice: str = ""
+    corrected: bool = False
 
+    @property
+    def needs_all(self) -> bool:
+        """Whether it takes more than the windows of ay and yaw rate."""
+        return self.all_signals or bool(self.choice) or self.corrected
+
+
+STATISTICS = WindowSettings(features="statistics")
 
 SELECTORS: dict[str, SelectorKind] = {
     "tree": SelectorKind(
-        "decision tree on statistics of ay and yaw-rate windows, trained for the cost of a wrong choice",
-        WindowSettings(features="statistics"),
-        by_regret=True,
-        depths=(2, 4, 6, 8),
+        "decision tree on statistics of ay and yaw-rate windows, trained for the cost of a wrong choice", STATISTICS
     ),
     "paper": SelectorKind(
         "decision tree on the raw ay and yaw-rate windows with plain labels, as in Atheupe 2023",
         WindowSettings(features="raw"),
         by_regret=False,
-        depths=(8,),
+        shapes=(TreeShape(8, 0.01, 0.0),),
     ),
-}
+    "tree_all": SelectorKind(
+        "the same tree on all signals, innovations and the filters' disagreement", STATISTICS, all_signals=True
+    ),
+    "boosted": SelectorKind(
+        "boosted trees on all signals that foretell the error of each filter", STATISTICS, choice="hard"
+    ),
+    "soft": SelectorKind(
+        "the same, blending the filters by calibrated probabilities", STATISTICS, choice="soft"
+    ),
+    "hybrid": SelectorKind(
+        "learned correction of the best filter, fading to the tree outside the training data", STATISTICS,
+        corrected=True,
+    ),
+}  # fmt: skip
 
-MIN_LEAF_SHARE = 0.01
-"""A leaf holds at least this share of the weight: fewer windows come from one or two recordings only."""
+INNER_FOLDS = 3
+"""Folds inside the recordings of one fit, for the shape of the tree and for the trust."""
+
+DISAGREEMENTS = (0.0, 0.25, 0.5, 1.0)
+"""Shares of the filters' disagreement to choose the doubt from."""
+
+FLOOR = np.radians(0.1)
+"""No estimate is called better than this before calibration [rad]."""
+
+THINNING = 10
+"""Every so many samples count in the calibration: neighbours say the same."""
 
 
-def fit_tree(windows: Windows, kind: SelectorKind, depth: int, seed: int) -> DecisionTreeClassifier:
-    """Fit the entropy tree (Atheupe 2023, eq. 34 to 36, sons weighted by their shares)."""
-    label = windows.label
+def fit_tree(features: np.ndarray, windows: Windows, by_regret: bool, shape: TreeShape, seed: int) -> Tree:
+    """Fit the entropy tree (Atheupe 2023, eq. 34 to 36, sons weighted by their shares).
+
+    Parameters
+    ----------
+    features : (w, f) float32
+    windows : Windows
+    by_regret : bool
+        A window speaks for every filter with what that filter saves over the worst one there.
+    shape : TreeShape
+    seed : int
+    """
+    label, classes = windows.label, windows.rmse.shape[1]
     tree = DecisionTreeClassifier(
-        criterion="entropy", max_depth=depth, min_weight_fraction_leaf=MIN_LEAF_SHARE, random_state=seed
-    )
-    if not kind.by_regret:
-        return tree.fit(windows.features, label)
-    # A window speaks for every filter with what that filter saves over the worst one there. The heaviest class of
-    # a leaf is then the one with the least squared error in it, and a tie between filters weighs nothing.
-    saved = windows.saved
-    classes = saved.shape[1]
-    features = np.repeat(windows.features, classes, axis=0)
-    return tree.fit(features, np.tile(np.arange(classes), len(label)), sample_weight=saved.ravel())
+        criterion="entropy", max_depth=shape.depth, min_weight_fraction_leaf=shape.leaf, ccp_alpha=shape.pruning,
+        random_state=seed,
+    )  # fmt: skip
+    if by_regret:
+        votes = np.tile(np.arange(classes), len(label))
+        tree.fit(np.repeat(features, classes, axis=0), votes, sample_weight=windows.saved.ravel())
+    else:
+        tree.fit(features, label)
+    return to_tree(tree, features, classes)
 
 
-def to_tree(fitted: DecisionTreeClassifier, windows: Windows, n_filters: int) -> Tree:
+def to_tree(fitted: DecisionTreeClassifier, features: np.ndarray, n_filters: int) -> Tree:
     """Take a fitted scikit-learn tree over; a filter that is never best gets a share of zero."""
     arrays = fitted.tree_
     shares = np.zeros((arrays.node_count, n_filters))
@@ -79,6 +161,155 @@ def to_tree(fitted: DecisionTreeClassifier, windows: Windows, n_filters: int) ->
         left=arrays.children_left.tolist(),
         right=arrays.children_right.tolist(),
         shares=shares.tolist(),
-        lowest=windows.features.min(axis=0).astype(float).tolist(),
-        highest=windows.features.max(axis=0).astype(float).tolist(),
+        lowest=features.min(axis=0).astype(float).tolist(),
+        highest=features.max(axis=0).astype(float).tolist(),
     )
+
+
+@dataclass(frozen=True)
+class Fitter:
+    """What all fits of one training share.
+
+    Attributes
+    ----------
+    selector : str
+        Key of `SELECTORS`.
+    rate : float [Hz]
+    filters : list of FilterSettings
+    vehicle : Vehicle or None
+    seed : int
+    banks : sequence of BankRun
+    windows : list of Windows
+        Of each recording.
+    """
+
+    selector: str
+    rate: float
+    filters: list[FilterSettings]
+    vehicle: Vehicle | None
+    seed: int
+    banks: Sequence[BankRun]
+    windows: list[Windows]
+
+    @property
+    def kind(self) -> SelectorKind:
+        """How the selector is trained."""
+        return SELECTORS[self.selector]
+
+    @property
+    def names(self) -> list[str]:
+        """Names of the filters."""
+        return [entry.name for entry in self.filters]
+
+    def together(self, members: Sequence[int]) -> Windows:
+        """Windows of some recordings."""
+        return concatenate([self.windows[i] for i in members])
+
+    def best_single(self, members: Sequence[int]) -> int:
+        """Filter with the lowest mean RMSE over some recordings."""
+        rmse = [np.sqrt(np.mean(self.windows[i].rmse ** 2, axis=0)) for i in members]
+        return int(np.argmin(np.mean(rmse, axis=0)))
+
+    def fit(self, members: Sequence[int]) -> tuple[Artefact, TreeShape]:
+        """Fit on some recordings: the shape of the tree and the trust are found on folds inside them."""
+        inner = grouped_folds(list(members), INNER_FOLDS, self.seed)
+        left_out, best = [], np.inf
+        for candidate in self.kind.shapes:
+            fitted = [(test, self._plain(fit, candidate)) for fit, test in inner]
+            rmse = float(np.mean([self._rmse(i, artefact) for test, artefact in fitted for i in test]))
+            if rmse < best or not left_out:
+                left_out, best, shape = fitted, rmse, candidate
+        artefact = self._plain(members, shape)
+        if self.kind.choice:
+            parts = [self._choice(fit) for fit, _ in inner]
+            update = {"temperature": fit_temperature(parts, [self.together(test) for _, test in inner])}
+            left_out = [
+                (test, one.model_copy(update={"choice": part.model_copy(update=update)}))
+                for (test, one), part in zip(left_out, parts, strict=True)
+            ]
+            choice = self._choice(members).model_copy(update=update)
+            artefact = artefact.model_copy(update={"choice": choice})
+        artefact = artefact.model_copy(update={"trust": self._trust(left_out)})
+        if self.kind.corrected:
+            artefact = artefact.model_copy(update={"correction": self._correction(members, inner)})
+        return artefact, shape
+
+    def _plain(self, members: Sequence[int], shape: TreeShape) -> Artefact:
+        """Artefact with a tree only, its doubt not calibrated."""
+        windows = self.together(members)
+        features = windows.everything if self.kind.all_signals else windows.features
+        # The paper's safe choice is the particle filter; ours the one that was the best by measurement.
+        paper = self.selector == "paper" and "random_walk_pf" in self.names
+        return Artefact(
+            selector_name=self.selector,
+            rate=self.rate,
+            window=self.kind.window,
+            filters=self.filters,
+            fallback="random_walk_pf" if paper else self.names[self.best_single(members)],
+            switch=SwitchSettings(),
+            tree=fit_tree(features, windows, self.kind.by_regret, shape, self.seed),
+            tree_sees_all=self.kind.all_signals,
+            vehicle=self.vehicle,
+        )
+
+    def _rmse(self, member: int, artefact: Artefact) -> float:
+        bank = self.banks[member]
+        beta = np.concatenate([run.answer(artefact).beta for run in bank.runs])
+        return score(beta, bank.beta_ref, bank.counted).rmse
+
+    def _choice(self, members: Sequence[int]) -> Choice:
+        return fit_choice(self.together(members), self.names, self.kind.choice == "soft", self.seed)
+
+    def _trust(self, left_out: Sequence[tuple[list[int], Artefact]]) -> Trust:
+        """Calibrate beta_std on recordings that their artefact was not fitted on (split conformal)."""
+        parts = []
+        for members, artefact in left_out:
+            plain = artefact.model_copy(update={"trust": Trust()})
+            for bank in (self.banks[i] for i in members):
+                answers = [run.answer(plain) for run in bank.runs]
+                every = np.flatnonzero(bank.counted)[::THINNING]
+                error = np.concatenate([answer.beta for answer in answers])[every] - bank.beta_ref[every]
+                beta_std = np.concatenate([answer.beta_std for answer in answers])[every]
+                parts.append((error, beta_std, bank.joined(lambda run: run.beta)[every]))
+        error, beta_std, beta = (np.concatenate(column) for column in zip(*parts, strict=True))
+        return fit_trust(error, beta_std, beta)
+
+    def _correction(self, members: Sequence[int], inner: Sequence[tuple[list[int], list[int]]]) -> Correction:
+        """Fit the correction on all members and its doubt on what parts of them left out."""
+        anchor, signs = self.best_single(members), mirror_signs(self.names)
+        features, errors = [], []
+        for fit, test in inner:
+            part = fit_correction(self.together(fit), self.names, anchor, self.seed)
+            windows = self.together(test)
+            known = np.isfinite(windows.beta_ref)
+            seen = windows.everything[known]
+            moved = part.trees.predict(seen) - part.trees.predict(seen * signs)
+            moved = np.clip(0.5 * moved[:, 0], -part.bound, part.bound)
+            features.append(seen)
+            errors.append((windows.beta_ref - windows.beta[:, anchor])[known] - moved)
+        doubt = fit_doubt(np.concatenate(features), np.concatenate(errors), signs, self.seed)
+        correction = fit_correction(self.together(members), self.names, anchor, self.seed)
+        return correction.model_copy(update={"doubt": doubt})
+
+
+def fit_trust(error: np.ndarray, beta_std: np.ndarray, beta: np.ndarray) -> Trust:
+    """Find the doubt that covers 95 % of the errors with the narrowest bands.
+
+    Parameters
+    ----------
+    error, beta_std : (n,) [rad]
+        Of samples the estimate was not fitted on.
+    beta : (n, filters) [rad]
+        What the filters said there.
+    """
+    trusts = []
+    for disagreement in DISAGREEMENTS:
+        trust = Trust(disagreement=disagreement, floor=FLOOR)
+        scale = conformal_scale(error, trust.widen(beta_std, beta))
+        trusts.append(trust.model_copy(update={"scale": scale}))
+
+    def interval_score(trust: Trust) -> float:
+        half = 1.96 * trust.widen(beta_std, beta)
+        return float(np.mean(2.0 * half + 2.0 / 0.05 * np.maximum(np.abs(error) - half, 0.0)))
+
+    return min(trusts, key=interval_score)

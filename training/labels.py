@@ -11,6 +11,9 @@ from crosscomb.signals import MIN_SPEED
 from crosscomb.training.metrics import countable
 from crosscomb.windows import WindowSettings
 
+TIE = np.radians(0.1)
+"""Errors below this [rad] are equal: optical and two-antenna references are hardly better."""
+
 
 @dataclass(frozen=True)
 class Windows:
@@ -21,10 +24,19 @@ class Windows:
     features : (w, f) float32
     rmse : (w, filters) [rad]
         RMSE of each filter in each window.
+    everything : (w, F) float32
+        All features at the end of each window (`crosscomb.features`); none of them where nobody asked.
+    beta : (w, filters) [rad]
+        Of each filter at the end of each window.
+    beta_ref : (w,) [rad]
+        Truth there; NaN where there is none.
     """
 
     features: np.ndarray
     rmse: np.ndarray
+    everything: np.ndarray
+    beta: np.ndarray
+    beta_ref: np.ndarray
 
     @property
     def label(self) -> np.ndarray:
@@ -33,13 +45,13 @@ class Windows:
 
     @property
     def saved(self) -> np.ndarray:
-        """Squared error that each filter saves over the worst one in each window ``(w, filters) [rad^2]``.
+        """RMSE that each filter saves over the worst one in each window ``(w, filters) [rad]``, scaled to mean one.
 
-        Squared, as the RMSE of a recording is what is reported. The mean over all windows is one, so that the
-        tree's own thresholds on weight work.
+        The heaviest class of a leaf is then the one with the least regret. Errors below the accuracy of references
+        count as that: such a tie weighs nothing.
         """
-        squared = self.rmse**2
-        saved = squared.max(axis=1, keepdims=True) - squared
+        rmse = np.maximum(self.rmse, TIE)
+        saved = rmse.max(axis=1, keepdims=True) - rmse
         mean = saved.mean()
         return saved / mean if mean > 0.0 else np.ones_like(saved)
 
@@ -60,28 +72,30 @@ def window_ends(beta_ref: np.ndarray, vx: np.ndarray, settings: WindowSettings) 
     return ends[judged[ends - settings.length + 1]]
 
 
-def label_run(run: FilterRun, settings: WindowSettings) -> Windows:
+def label_run(run: FilterRun, settings: WindowSettings, everything: bool = False) -> Windows:
     """Cut and label the windows of one segment.
 
     Parameters
     ----------
     run : FilterRun
     settings : WindowSettings
+    everything : bool
+        Also give all features at the end of each window.
     """
     signals = run.segment.signals
     beta_ref = signals.beta_ref
     ends = window_ends(beta_ref, signals.column("vx"), settings)
     squared = (run.beta - beta_ref[:, None]) ** 2
     members = ends[:, None] - np.arange(settings.length)[None, :]
-    return Windows(run.features[ends], np.sqrt(np.nanmean(squared[members], axis=1)))
+    rmse = np.sqrt(np.nanmean(squared[members], axis=1))
+    features = run.all_features()[ends] if everything else np.empty((len(ends), 0), dtype=np.float32)
+    return Windows(run.features[ends], rmse, features, run.beta[ends], beta_ref[ends])
 
 
 def concatenate(parts: list[Windows]) -> Windows:
     """Put the windows of several segments into one table."""
-    return Windows(
-        np.concatenate([part.features for part in parts]),
-        np.concatenate([part.rmse for part in parts]),
-    )
+    columns = ("features", "rmse", "everything", "beta", "beta_ref")
+    return Windows(*(np.concatenate([getattr(part, name) for part in parts]) for name in columns))
 
 
 def oracle_beta(run: FilterRun, length: int) -> np.ndarray:

@@ -7,26 +7,23 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import pandas as pd
+from joblib import Parallel, delayed
+from threadpoolctl import threadpool_limits
 
 from crosscomb.artefact import Artefact, FilterSettings
 from crosscomb.errors import UsageError
 from crosscomb.files import file_hash, versions
 from crosscomb.filters.catalogue import CATALOGUE, DEFAULT_FILTERS, make_filter, settings_of
 from crosscomb.models.vehicle import Vehicle
-from crosscomb.switch import SwitchSettings
-from crosscomb.training.bank import BankRun, run_bank
-from crosscomb.training.evaluate import Evaluation, evaluate
-from crosscomb.training.fit import SELECTORS, SelectorKind, fit_tree, to_tree
+from crosscomb.training.bank import run_bank
+from crosscomb.training.evaluate import Evaluation, evaluate, pool
+from crosscomb.training.fit import SELECTORS, Fitter, TreeShape
 from crosscomb.training.folds import Parts, grouped_folds, split_recordings
 from crosscomb.training.labels import Windows, concatenate
 from crosscomb.training.recordings import Recording, common_vehicle
 
 RATE = 100.0
 """Default working rate [Hz]."""
-
-FALLBACK = "random_walk_pf"
-"""Active before the first decision (the paper's safe choice)."""
 
 
 @dataclass(frozen=True)
@@ -38,12 +35,13 @@ class Training:
     artefact : Artefact
         Fitted on all recordings; none of the evaluations below is of this tree.
     folds : Evaluation
-        Each recording of the training part, judged by the tree of the fold that left it out.
+        Each recording of the training part, judged by the selector of the fold that left it out; everything that
+        was chosen or calibrated was so inside that fold.
     validation, test : Evaluation
         The 15 % and 10 % parts, judged by the tree of the 75 % part.
     parts : Parts
-    depth : int
-        Chosen by the folds.
+    shape : TreeShape
+        Of the tree in the artefact.
     """
 
     artefact: Artefact
@@ -51,7 +49,7 @@ class Training:
     validation: Evaluation
     test: Evaluation
     parts: Parts
-    depth: int
+    shape: TreeShape
 
     @property
     def evaluations(self) -> dict[str, Evaluation]:
@@ -97,31 +95,45 @@ def train(
     kind = SELECTORS[selector]
     entries = default_filters(recordings[0].vehicle, filters)
     banks = run_bank(recordings, entries, rate, kind.window, jobs, progress)
-    windows = [bank.windows(kind.window) for bank in banks]
+    windows = [bank.windows(kind.window, kind.needs_all) for bank in banks]
     _require_choice(recordings, windows, entries)
-    base = _Base(kind, selector, rate, entries, common_vehicle(list(recordings)), seed)
+    fitter = Fitter(selector, rate, entries, common_vehicle(list(recordings)), seed, banks, windows)
 
     parts = split_recordings(len(banks), seed)
     pairs = grouped_folds(parts.training, folds, seed)
-    by_depth = {}
-    for depth in kind.depths:
-        by_depth[depth] = _judge_folds(base, banks, windows, pairs, depth)
-        if progress is not None:
-            progress()
-    depth = min(by_depth, key=lambda d: by_depth[d].overall["rmse"]["switch"])
-    partly = base.fit(windows, parts.training, depth)
+    tasks = [*(fit for fit, _ in pairs), parts.training, list(range(len(banks)))]
+    fits = fit_all(fitter, tasks, jobs, progress)
+    cross = pool(
+        [evaluate([banks[i] for i in test], one) for (_, test), (one, _) in zip(pairs, fits, strict=False)]
+    )
+    partly, (whole, shape) = fits[-2][0], fits[-1]
     validation = evaluate([banks[i] for i in parts.validation], partly)
     test = evaluate([banks[i] for i in parts.test], partly)
-
-    whole = base.fit(windows, list(range(len(banks))), depth)
-    record = _record(recordings, parts, seed, folds, depth, by_depth[depth], validation, test)
+    record = _record(recordings, parts, seed, folds, shape, cross, validation, test)
     artefact = whole.model_copy(update={"training": record})
-    return Training(artefact, by_depth[depth], validation, test, parts, depth)
+    return Training(artefact, cross, validation, test, parts, shape)
 
 
-def steps(recordings: Sequence[Recording], selector: str) -> int:
-    """How often `train` reports progress: after each recording and after each depth it tries."""
-    return len(recordings) + len(SELECTORS[selector].depths)
+def fit_all(
+    fitter: Fitter, tasks: Sequence[Sequence[int]], jobs: int, progress: Callable[[], None] | None
+) -> list[tuple[Artefact, TreeShape]]:
+    """Fit on each set of recordings, side by side; one thread each, so that the sums are the same everywhere."""
+    fits = []
+    with threadpool_limits(1):
+        made = Parallel(n_jobs=jobs, return_as="generator", prefer="threads")(
+            delayed(fitter.fit)(members) for members in tasks
+        )
+        for one in made:
+            fits.append(one)
+            if progress is not None:
+                progress()
+    return fits
+
+
+def steps(recordings: Sequence[Recording], folds: int) -> int:
+    """How often `train` reports progress: after each recording and after each fit."""
+    training = len(split_recordings(len(recordings), 0).training)
+    return len(recordings) + min(folds, training) + 2
 
 
 def _require_choice(
@@ -170,53 +182,12 @@ def require_filters(names: Sequence[str]) -> None:
         raise UsageError(f"--filters {', '.join(names)}: there is nothing to select from: name at least two")
 
 
-@dataclass(frozen=True)
-class _Base:
-    """What all trees of one training share."""
-
-    kind: SelectorKind
-    selector: str
-    rate: float
-    filters: list[FilterSettings]
-    vehicle: Vehicle | None
-    seed: int
-
-    def fit(self, windows: list[Windows], members: list[int], depth: int) -> Artefact:
-        """Fit a tree on the windows of some recordings and make an artefact of it."""
-        chosen = concatenate([windows[i] for i in members])
-        fitted = fit_tree(chosen, self.kind, depth, self.seed)
-        return Artefact(
-            selector_name=self.selector,
-            rate=self.rate,
-            window=self.kind.window,
-            filters=self.filters,
-            fallback=FALLBACK if FALLBACK in [entry.name for entry in self.filters] else self.filters[0].name,
-            switch=SwitchSettings(),
-            tree=to_tree(fitted, chosen, len(self.filters)),
-            vehicle=self.vehicle,
-        )
-
-
-def _judge_folds(
-    base: _Base,
-    banks: list[BankRun],
-    windows: list[Windows],
-    pairs: list[tuple[list[int], list[int]]],
-    depth: int,
-) -> Evaluation:
-    """Evaluate each recording with the tree of the fold that left it out."""
-    parts = [evaluate([banks[i] for i in test], base.fit(windows, fit, depth)) for fit, test in pairs]
-    return Evaluation(
-        pd.concat([part.table for part in parts]), np.sum([part.confusion for part in parts], axis=0)
-    )
-
-
 def _record(
     recordings: Sequence[Recording],
     parts: Parts,
     seed: int,
     folds: int,
-    depth: int,
+    shape: TreeShape,
     cross: Evaluation,
     validation: Evaluation,
     test: Evaluation,
@@ -226,7 +197,8 @@ def _record(
     return {
         "seed": seed,
         "folds": folds,
-        "depth": depth,
+        "depth": shape.depth,
+        "leaf": shape.leaf,
         "versions": versions(),
         "data": {recording.name: file_hash(recording.path) for recording in recordings},
         "parts": {

@@ -1,0 +1,112 @@
+"""Boosted regression trees, evaluated from their arrays."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import Annotated, Literal, NamedTuple
+
+import numpy as np
+from numba import njit
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+
+
+class Grove(NamedTuple):
+    """The arrays of boosted trees as kernels take them."""
+
+    feature: np.ndarray  # (nodes,)
+    threshold: np.ndarray  # (nodes,)
+    left: np.ndarray  # (nodes,)
+    right: np.ndarray  # (nodes,)
+    value: np.ndarray  # (nodes,)
+    roots: np.ndarray  # (trees,)
+    baseline: np.ndarray  # (outputs,)
+
+
+class Boosted(BaseModel):
+    """Sum of many small regression trees; their nodes lie in one list, one tree after the other.
+
+    Attributes
+    ----------
+    baseline : list of float
+        Start of each output; tree i adds to output i modulo their number.
+    roots : list of int
+        First node of each tree.
+    feature : list of int
+        Feature that a node asks for; -1 in a leaf.
+    threshold : list of float
+        A sample goes left where its feature is at most this.
+    left, right : list of int
+        Children; always later in the list than their parent.
+    value : list of float
+        What a leaf adds.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    kind: Literal["boosted"] = "boosted"
+    baseline: list[Finite] = Field(min_length=1)
+    roots: list[int]
+    feature: list[int]
+    threshold: list[Finite]
+    left: list[int]
+    right: list[int]
+    value: list[Finite]
+
+    @model_validator(mode="after")
+    def _sound(self) -> Boosted:
+        nodes = len(self.feature)
+        if {len(self.threshold), len(self.left), len(self.right), len(self.value)} != {nodes}:
+            raise ValueError("the arrays of the boosted trees differ in length")
+        if any(not 0 <= root < nodes for root in self.roots):
+            raise ValueError("a boosted tree starts at a node that is not there")
+        asks, own = np.array(self.feature), np.arange(nodes)
+        inner = asks >= 0
+        for children in (np.array(self.left), np.array(self.right)):
+            # Later than the parent: no walk can go round in circles.
+            if np.any((children <= own)[inner]) or np.any((children >= nodes)[inner]):
+                raise ValueError("a node of the boosted trees has broken child indices")
+        return self
+
+    @property
+    def n_features(self) -> int:
+        """Least number of features that the trees need."""
+        return max(self.feature, default=-1) + 1
+
+    @cached_property
+    def grove(self) -> Grove:
+        """The arrays as kernels take them."""
+        return Grove(
+            np.array(self.feature, dtype=np.int32), np.array(self.threshold), np.array(self.left, dtype=np.int32),
+            np.array(self.right, dtype=np.int32), np.array(self.value), np.array(self.roots), np.array(self.baseline),
+        )  # fmt: skip
+
+    def predict(self, features: np.ndarray) -> np.ndarray:
+        """Outputs ``(n, outputs)`` for rows of features ``(n, f) float32``."""
+        out = np.empty((len(features), len(self.baseline)))
+        _run(self.grove, np.ascontiguousarray(features, dtype=np.float32), out)
+        return out
+
+
+@njit(cache=True)
+def boosted_at(grove, features, out):
+    """Write the outputs ``(outputs,)`` for one row of features ``(f,) float32``."""
+    outputs = out.size
+    for j in range(outputs):
+        out[j] = grove.baseline[j]
+    for i in range(grove.roots.size):
+        node = grove.roots[i]
+        while grove.feature[node] >= 0:
+            # scikit-learn compares in double precision
+            if np.float64(features[grove.feature[node]]) <= grove.threshold[node]:
+                node = grove.left[node]
+            else:
+                node = grove.right[node]
+        out[i % outputs] += grove.value[node]
+
+
+@njit(cache=True)
+def _run(grove, features, out):
+    for row in range(features.shape[0]):
+        boosted_at(grove, features[row], out[row])

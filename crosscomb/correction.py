@@ -1,0 +1,196 @@
+"""A learned correction on top of the filters: bounded, and faded out outside the training data.
+
+Learning can correct what no filter has right, but must not be trusted where nothing was learned: there the answer
+fades to that of the switch. The correction is exactly odd: a mirrored drive gets the mirrored answer.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from crosscomb.boosted import Boosted, Finite, Grove, boosted_at
+
+FADE = 0.25
+"""Beyond the training range by this share of it, nothing is left of the correction."""
+
+
+class Correction(BaseModel):
+    """Trees that correct one filter, and trees that say how far off the corrected answer is.
+
+    Attributes
+    ----------
+    anchor : str
+        Filter that is corrected: the best single one in training.
+    trees : Boosted
+        Truth less anchor [rad].
+    doubt : Boosted
+        Logarithm of the standard deviation [rad] of what is left.
+    bound : float
+        Largest correction [rad].
+    lag : float
+        Time constant that smooths the steps of the trees [s].
+    odd : list of bool
+        Features that change sign in a mirrored drive.
+    lowest, highest : list of float
+        Range of each feature in training, mirrored drives included.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    anchor: str
+    trees: Boosted
+    doubt: Boosted
+    bound: float = Field(gt=0.0, le=1.5)
+    lag: float = Field(default=0.05, ge=0.0, le=1.0)
+    odd: list[bool]
+    lowest: list[Finite]
+    highest: list[Finite]
+
+    @model_validator(mode="after")
+    def _sound(self) -> Correction:
+        if not len(self.odd) == len(self.lowest) == len(self.highest):
+            raise ValueError("the feature ranges of the correction are of uneven length")
+        if max(self.trees.n_features, self.doubt.n_features) > len(self.odd):
+            raise ValueError("the correction asks for more features than it has ranges of")
+        if len(self.trees.baseline) != 1 or len(self.doubt.baseline) != 1:
+            raise ValueError("the trees of the correction must have one output")
+        return self
+
+    @cached_property
+    def kernel(self) -> CorrectionKernel:
+        """The correction as kernels take it."""
+        lowest, highest = np.array(self.lowest), np.array(self.highest)
+        return CorrectionKernel(
+            self.trees.grove,
+            self.doubt.grove,
+            self.bound,
+            np.where(np.array(self.odd), -1.0, 1.0).astype(np.float32),
+            lowest,
+            highest,
+            np.maximum(FADE * (highest - lowest), 1e-9),
+        )
+
+
+class CorrectionKernel(NamedTuple):
+    """What the kernel needs of a `Correction`."""
+
+    trees: Grove
+    doubt: Grove
+    bound: float
+    signs: np.ndarray  # (features,) float32
+    lowest: np.ndarray  # (features,)
+    highest: np.ndarray  # (features,)
+    slack: np.ndarray  # (features,)
+
+
+class CorrectionState(NamedTuple):
+    """Smoothed correction and weight, changed in place."""
+
+    values: np.ndarray  # (3,) correction [rad], weight, 1 after the first sample
+    mirrored: np.ndarray  # (features,) float32, scratch
+    out: np.ndarray  # (1,), scratch
+
+
+def make_correction_state(features: int) -> CorrectionState:
+    """Make the state before the first sample."""
+    return CorrectionState(np.zeros(3), np.zeros(features, dtype=np.float32), np.zeros(1))
+
+
+@njit(cache=True)
+def inside_weight(features, lowest, highest, slack):
+    """Weight of what was learned: 1 inside the training range, 0 from `FADE` of it outside."""
+    most = 0.0
+    for i in range(lowest.size):
+        beyond = max(lowest[i] - features[i], features[i] - highest[i]) / slack[i]
+        most = max(most, beyond)
+    return max(1.0 - most, 0.0)
+
+
+@njit(cache=True)
+def correction_at(model, state, features, gain, answer):
+    """Write correction [rad], its standard deviation [rad] and its weight of one sample to `answer` ``(3,)``.
+
+    Parameters
+    ----------
+    model : CorrectionKernel
+    state : CorrectionState
+        Changed in place.
+    features : (f,) float32
+    gain : float
+        Share of the new sample in the smoothed correction and weight.
+    answer : (3,)
+    """
+    values, mirrored, out = state.values, state.mirrored, state.out
+    for i in range(mirrored.size):
+        mirrored[i] = features[i] * model.signs[i]
+    boosted_at(model.trees, features, out)
+    correction = out[0]
+    boosted_at(model.trees, mirrored, out)
+    correction = min(max(0.5 * (correction - out[0]), -model.bound), model.bound)
+    boosted_at(model.doubt, features, out)
+    doubt = out[0]
+    boosted_at(model.doubt, mirrored, out)
+    doubt = 0.5 * (doubt + out[0])
+    weight = inside_weight(features, model.lowest, model.highest, model.slack)
+    share = gain if values[2] == 1.0 else 1.0
+    values[0] += share * (correction - values[0])
+    values[1] += share * (weight - values[1])
+    values[2] = 1.0
+    answer[0], answer[1], answer[2] = values[0], math.exp(doubt), values[1]
+
+
+@njit(cache=True)
+def _run(model, state, features, gain, anchor, beta, beta_std, weight):
+    answer = np.empty(3)
+    for k in range(features.shape[0]):
+        correction_at(model, state, features[k], gain, answer)
+        share = answer[2]
+        beta[k] += share * (anchor[k] + answer[0] - beta[k])
+        beta_std[k] += share * (answer[1] - beta_std[k])
+        weight[k] = share
+
+
+def lag_gain(lag: float, dt: float) -> float:
+    """Share of a new sample in a mean with time constant `lag` [s], for samples dt [s] apart."""
+    return -math.expm1(-dt / lag) if lag > 0.0 else 1.0
+
+
+def correct(
+    correction: Correction,
+    state: CorrectionState,
+    features: np.ndarray,
+    anchor: np.ndarray,
+    switched: np.ndarray,
+    switched_std: np.ndarray,
+    dt: float,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Answer of the corrected filter, faded to that of the switch outside the training data.
+
+    Parameters
+    ----------
+    correction : Correction
+    state : CorrectionState
+        Changed in place.
+    features : (n, f) float32
+    anchor : (n,) [rad]
+        beta of the filter that is corrected.
+    switched, switched_std : (n,) [rad]
+        Answer of the switch.
+    dt : float [s]
+
+    Returns
+    -------
+    beta, beta_std : (n,) [rad]
+    weight : (n,)
+        Share of the correction in the answer.
+    """
+    beta, beta_std, weight = switched.copy(), switched_std.copy(), np.empty(len(switched))
+    gain = lag_gain(correction.lag, dt)
+    _run(correction.kernel, state, features, gain, np.ascontiguousarray(anchor), beta, beta_std, weight)
+    return beta, beta_std, weight

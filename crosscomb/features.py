@@ -1,0 +1,229 @@
+"""What the richer selectors see: all signals, the filters' answers, and their exponential means.
+
+A few channels are made at every sample, and of each the mean over several memories is kept. One kernel makes one
+sample of them, so training, batch and streaming see the same bit for bit, and nothing depends on the rate or on
+how a log was cut.
+
+Half of the channels are odd: they change sign when the drive is mirrored (left for right), as beta does; the
+others are even. A correction can so be made exactly odd, and nothing is learned of the side a car was driven on.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+from crosscomb.filters.base import AX, AY, STEER, STEER_REAR, VFL, VFR, VRL, VRR, VX, YAW_RATE
+from crosscomb.models.vehicle import Vehicle
+from crosscomb.signals import MIN_SPEED
+
+MEMORIES = (0.0, 0.1, 0.4, 1.5, 5.0)
+"""Time constants of the means [s]; 0 is the sample itself."""
+
+MOST_NIS = 100.0
+"""A larger normalised innovation says no more than this one."""
+
+ODD = (
+    "ay [m/s^2]",
+    "yaw_rate [rad/s]",
+    "steer [rad]",
+    "steer vx / wheelbase - yaw_rate [rad/s]",
+    "ay / vx - yaw_rate [rad/s]",
+    "yaw rate of the rear wheels - yaw_rate [rad/s]",
+    "steady slip of the linear rear tyre [rad]",
+)
+EVEN = (
+    "vx [m/s]",
+    "ax [m/s^2]",
+    "abs ay [m/s^2]",
+    "abs yaw_rate [rad/s]",
+    "abs(ay / vx - yaw_rate) [rad/s]",
+    "rear / front wheel speed - 1",
+    "ay yaw_rate [m rad/s^3]",
+    "ay steer [m rad/s^2]",
+    "ay mean beta [m rad/s^2]",
+    "spread of beta [rad]",
+)
+
+
+class Layout(NamedTuple):
+    """Where the channels stand: of the signals, then beta, NIS and beta_std of each filter."""
+
+    names: tuple[str, ...]
+    odd: np.ndarray  # (channels,) bool
+
+
+class Memory(NamedTuple):
+    """State of the features of one drive, changed in place by the kernel."""
+
+    means: np.ndarray  # (memories, channels)
+    held: np.ndarray  # (4,) last ay, yaw_rate, ax, and 1 after the first sample
+
+
+class FeatureCar(NamedTuple):
+    """What the features take of a vehicle."""
+
+    wheelbase: float  # [m]
+    b: float  # centre of gravity to rear axle [m]
+    track_rear: float  # [m]
+    rear_slip: float  # slip of the linear rear tyre over ay [rad s^2/m]
+
+
+def layout(filters: list[str]) -> Layout:
+    """Names of the features in order, and which are odd.
+
+    Parameters
+    ----------
+    filters : list of str
+        Names of the filters.
+    """
+    channels = (
+        *ODD, *EVEN, *(f"beta {name} [rad]" for name in filters), *(f"NIS {name}" for name in filters),
+        *(f"beta_std {name} [rad]" for name in filters),
+    )  # fmt: skip
+    odd = np.zeros(len(channels), dtype=bool)
+    odd[: len(ODD)] = True
+    odd[len(ODD) + len(EVEN) : len(ODD) + len(EVEN) + len(filters)] = True
+    names = (
+        channel if memory == 0.0 else f"mean({channel}, {memory} s)"
+        for memory in MEMORIES
+        for channel in channels
+    )
+    return Layout(tuple(names), np.tile(odd, len(MEMORIES)))
+
+
+def feature_car(vehicle: Vehicle) -> FeatureCar:
+    """Take from a vehicle what the features need."""
+    rear_load = vehicle.mass * vehicle.cg_to_front_axle / vehicle.wheelbase
+    return FeatureCar(
+        vehicle.wheelbase,
+        vehicle.cg_to_rear_axle,
+        vehicle.track_rear,
+        rear_load / vehicle.cornering_stiffness_rear,
+    )
+
+
+def make_memory(n_filters: int) -> Memory:
+    """Make the state before the first sample."""
+    channels = len(ODD) + len(EVEN) + 3 * n_filters
+    return Memory(np.zeros((len(MEMORIES), channels)), np.zeros(4))
+
+
+@njit(cache=True)
+def _hold(value, held, i):
+    """Give a measured value, or while it is missing the last one."""
+    if math.isfinite(value):
+        held[i] = value
+    return held[i]
+
+
+@njit(cache=True)
+def _rear_wheels(sample, yaw_rate, speed, track_rear):
+    """Yaw rate of the rear wheels less that of the car, and rear over front wheel speed less 1; 0 where unknown."""
+    turn, slip = 0.0, 0.0
+    rear, front = sample[VRL] + sample[VRR], sample[VFL] + sample[VFR]
+    if math.isfinite(rear):
+        turn = (sample[VRR] - sample[VRL]) / track_rear - yaw_rate
+        if math.isfinite(front):
+            slip = (rear - front) / max(front, 2.0 * MIN_SPEED)
+    return turn, slip
+
+
+@njit(cache=True)
+def _channels(held, sample, beta, beta_std, nis, car, out):
+    """Write the channels of one sample."""
+    ay, yaw_rate = _hold(sample[AY], held, 0), _hold(sample[YAW_RATE], held, 1)
+    ax, speed, steer = _hold(sample[AX], held, 2), max(sample[VX], MIN_SPEED), sample[STEER]
+    wheels_turn, wheels_slip = _rear_wheels(sample, yaw_rate, speed, car.track_rear)
+    slip_rate = ay / speed - yaw_rate
+    filters = beta.size
+    mean, least, largest = 0.0, math.inf, -math.inf
+    for i in range(filters):
+        mean += beta[i] / filters
+        least, largest = min(least, beta[i]), max(largest, beta[i])
+    out[0], out[1], out[2] = ay, yaw_rate, steer
+    out[3] = (steer - sample[STEER_REAR]) * speed / car.wheelbase - yaw_rate
+    out[4], out[5] = slip_rate, wheels_turn
+    out[6] = sample[STEER_REAR] + car.b * yaw_rate / speed - car.rear_slip * ay
+    out[7], out[8], out[9], out[10] = sample[VX], ax, abs(ay), abs(yaw_rate)
+    out[11], out[12] = abs(slip_rate), wheels_slip
+    out[13], out[14], out[15], out[16] = ay * yaw_rate, ay * steer, ay * mean, largest - least
+    for i in range(filters):
+        out[17 + i] = beta[i]
+        out[17 + filters + i] = min(nis[i], MOST_NIS) if math.isfinite(nis[i]) else 1.0
+        out[17 + 2 * filters + i] = beta_std[i]
+
+
+@njit(cache=True)
+def features_step(memory, sample, beta, beta_std, nis, car, gains, out):
+    """Write the features of one sample.
+
+    Parameters
+    ----------
+    memory : Memory
+        Changed in place.
+    sample : (17,)
+        As in `crosscomb.filters.base.Inputs`.
+    beta, beta_std, nis : (filters,) [rad], [rad], [-]
+    car : FeatureCar
+    gains : (memories,)
+        Share of the new sample in each mean.
+    out : (features,) float32
+    """
+    means = memory.means
+    _channels(memory.held, sample, beta, beta_std, nis, car, means[0])
+    levels, channels = means.shape
+    fresh = memory.held[3] == 0.0
+    memory.held[3] = 1.0
+    for level in range(levels):
+        gain = 1.0 if fresh else gains[level]
+        for i in range(channels):
+            means[level, i] += gain * (means[0, i] - means[level, i])
+            out[level * channels + i] = means[level, i]
+
+
+@njit(cache=True)
+def _features_run(memory, samples, beta, beta_std, nis, car, gains, out):
+    for k in range(samples.shape[0]):
+        features_step(memory, samples[k], beta[k], beta_std[k], nis[k], car, gains, out[k])
+
+
+def memory_gains(dt: float) -> np.ndarray:
+    """Share of a new sample in each mean, for samples dt [s] apart ``(memories,)``."""
+    return np.array([1.0 if memory == 0.0 else -math.expm1(-dt / memory) for memory in MEMORIES])
+
+
+def all_features(
+    samples: np.ndarray,
+    beta: np.ndarray,
+    beta_std: np.ndarray,
+    nis: np.ndarray,
+    vehicle: Vehicle,
+    dt: float,
+    memory: Memory,
+) -> np.ndarray:
+    """Features of the next samples of a drive.
+
+    Parameters
+    ----------
+    samples : (n, 17)
+        As in `crosscomb.filters.base.Inputs`.
+    beta, beta_std, nis : (n, filters) [rad], [rad], [-]
+    vehicle : Vehicle
+    dt : float [s]
+    memory : Memory
+        Changed in place.
+
+    Returns
+    -------
+    (n, features) float32
+    """
+    out = np.empty((len(samples), memory.means.size), dtype=np.float32)
+    _features_run(
+        memory, samples, np.ascontiguousarray(beta), np.ascontiguousarray(beta_std), np.ascontiguousarray(nis),
+        feature_car(vehicle), memory_gains(dt), out,
+    )  # fmt: skip
+    return out
