@@ -61,12 +61,13 @@ class Boosted(BaseModel):
             raise ValueError("the arrays of the boosted trees differ in length")
         if any(not 0 <= root < nodes for root in self.roots):
             raise ValueError("a boosted tree starts at a node that is not there")
-        asks, own = np.array(self.feature), np.arange(nodes)
-        inner = asks >= 0
-        for children in (np.array(self.left), np.array(self.right)):
+        for node, children in enumerate(zip(self.left, self.right, strict=True)):
+            if self.feature[node] == -1:
+                if children != (-1, -1):
+                    raise ValueError(f"leaf {node} of the boosted trees has children")
             # Later than the parent: no walk can go round in circles.
-            if np.any((children <= own)[inner]) or np.any((children >= nodes)[inner]):
-                raise ValueError("a node of the boosted trees has broken child indices")
+            elif self.feature[node] < 0 or not all(node < child < nodes for child in children):
+                raise ValueError(f"node {node} of the boosted trees has broken child indices {children}")
         return self
 
     @property
@@ -78,8 +79,9 @@ class Boosted(BaseModel):
     def grove(self) -> Grove:
         """The arrays as kernels take them."""
         return Grove(
-            np.array(self.feature, dtype=np.int32), np.array(self.threshold), np.array(self.left, dtype=np.int32),
-            np.array(self.right, dtype=np.int32), np.array(self.value), np.array(self.roots), np.array(self.baseline),
+            np.array(self.feature, np.int32), np.array(self.threshold, float), np.array(self.left, np.int32),
+            np.array(self.right, np.int32), np.array(self.value, float), np.array(self.roots, np.int64),
+            np.array(self.baseline, float),
         )  # fmt: skip
 
     def predict(self, features: np.ndarray) -> np.ndarray:

@@ -179,7 +179,11 @@ def train(
         "selector.json"
     ),
     selector: Annotated[
-        str, typer.Option("--selector", help="Kind of selector; unknown ones are answered with the list.")
+        str,
+        typer.Option(
+            "--selector",
+            help="tree, paper, tree_all, boosted, soft, hybrid; or all: compare them and write the tree.",
+        ),
     ] = "tree",
     folds: Annotated[int, typer.Option("--folds", min=2, max=50, help="Grouped folds, by recording.")] = 5,
     seed: SeedOption = 0,
@@ -192,7 +196,7 @@ def train(
     from crosscomb import terminal
     from crosscomb.artefact import save_artefact
     from crosscomb.channel_map import load_map
-    from crosscomb.files import refuse_overwriting, run_record, write_json
+    from crosscomb.files import refuse_overwriting, run_record, write_json, write_text
     from crosscomb.filters.catalogue import DEFAULT_FILTERS
     from crosscomb.report import beside_artefact, row_shares, write_training
     from crosscomb.training.fit import SELECTORS
@@ -200,8 +204,9 @@ def train(
     from crosscomb.training.train import require_filters, steps
     from crosscomb.training.train import train as run_training
 
-    if selector not in SELECTORS:
-        raise UsageError(f"--selector {selector}: unknown: take one of {', '.join(SELECTORS)}")
+    if selector not in (*SELECTORS, "all"):
+        raise UsageError(f"--selector {selector}: unknown: take one of {', '.join(SELECTORS)}, all")
+    everything, selector = selector == "all", "tree" if selector == "all" else selector
     if output.suffix != ".json":
         raise UsageError(f"{output}: an artefact is a JSON file: let its name end in .json")
     names = _names(filters) or list(DEFAULT_FILTERS)
@@ -215,7 +220,9 @@ def train(
     cars = [] if vehicle else sorted({r.path.with_name("vehicle.toml") for r in recordings})
     inputs = [*_existing(vehicle, channel_map), *cars, *(r.path for r in recordings)]
     record_file = output.with_suffix(".run.json")
-    refuse_overwriting(inputs, [output, record_file, *beside_artefact(output)])
+    refuse_overwriting(
+        inputs, [output, record_file, *beside_artefact(output), output.with_name("comparison.json")]
+    )
     with terminal.progress("training", steps(recordings, folds)) as advance:
         training = run_training(recordings, selector, folds, seed, rate, jobs, advance, names)
     save_artefact(training.artefact, output)
@@ -233,6 +240,14 @@ def train(
         )
     terminal.show_confusion(training.folds.confusion, row_shares(training.folds.confusion), names)
     terminal.say(f"written: {output}, {', '.join(path.name for path in paths)}")
+    if everything:
+        from crosscomb.training.compare import compare, comparison_steps
+
+        with terminal.progress("comparing", comparison_steps(recordings, folds, seed)) as advance:
+            comparison = compare(recordings, folds, seed, rate, jobs, advance, names)
+        write_text(output.with_name("comparison.json"), comparison.to_json())
+        terminal.show_comparison(comparison)
+        terminal.say(f"written: {output.with_name('comparison.json')}")
 
 
 @app.command()

@@ -167,10 +167,12 @@ def _channel_ties(signals: Signals, table: dict[str, np.ndarray], vehicle: Vehic
         least=2.0,
         violence=v,
     )
+    # Near the limit the unloaded inner wheel spins, and is the faster one.
+    calm = np.abs(v * yaw_rate) < 4.0
     side_tie = _tie(
         "vrr - vrl is {} of track * yaw_rate",
         {"wheels": 1, "sides": 1, "yaw_rate": -1},
-        (table["vrr"] - table["vrl"], vehicle.track_rear * yaw_rate),
+        ((table["vrr"] - table["vrl"])[calm], vehicle.track_rear * yaw_rate[calm]),
         correlation=(0.9, 0.93),
         least=0.1,
         possible=_WIDE,

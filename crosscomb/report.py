@@ -18,6 +18,7 @@ from matplotlib.figure import Figure
 from crosscomb.estimate import LogEstimate
 from crosscomb.files import write_file, write_text
 from crosscomb.signals import MIN_SPEED
+from crosscomb.tree_view import tree_figure, tree_text
 
 if TYPE_CHECKING:
     from crosscomb.training.evaluate import Evaluation
@@ -125,12 +126,19 @@ def confusion_table(confusion: np.ndarray, names: Sequence[str]) -> pd.DataFrame
 
 def beside_artefact(artefact_path: Path) -> list[Path]:
     """Files that `write_training` writes beside an artefact."""
-    names = ("report.html", "confusion_matrix.csv", "confusion_matrix.png", "metrics.json")
+    names = (
+        "report.html",
+        "confusion_matrix.csv",
+        "confusion_matrix.png",
+        "metrics.json",
+        "tree.txt",
+        "tree.png",
+    )
     return [artefact_path.with_name(name) for name in names]
 
 
 def write_training(training: Training, artefact_path: Path, notes: Sequence[str]) -> list[Path]:
-    """Write what belongs beside an artefact: report, confusion matrix and metrics.
+    """Write what belongs beside an artefact: report, confusion matrix, metrics and the tree to read.
 
     Returns
     -------
@@ -143,6 +151,8 @@ def write_training(training: Training, artefact_path: Path, notes: Sequence[str]
     write_file(paths[1], lambda path: confusion_table(confusion, names).to_csv(path, lineterminator="\n"))
     _save(confusion_figure(confusion, names), paths[2])
     write_text(paths[3], metrics_json(training))
+    write_text(paths[4], tree_text(training.artefact))
+    _save(tree_figure(training.artefact), paths[5])
     write_text(paths[0], training_page(training, artefact_path.name, notes))
     return paths
 
@@ -205,6 +215,10 @@ def training_page(training: Training, artefact_name: str, notes: Sequence[str]) 
     blocks.append(
         f'<img alt="confusion matrix" src="data:image/png;base64,{base64.b64encode(image).decode()}">'
     )
+    blocks.append("<h2>The tree</h2>")
+    image = _as_png(tree_figure(training.artefact))
+    blocks.append(f'<img alt="tree" src="data:image/png;base64,{base64.b64encode(image).decode()}">')
+    blocks.append(f"<pre>{html.escape(tree_text(training.artefact))}</pre>")
     if notes:
         blocks.append(
             "<h2>Notes</h2><ul>" + "".join(f"<li>{html.escape(note)}</li>" for note in notes) + "</ul>"

@@ -24,6 +24,8 @@ class Tree(BaseModel):
         Children; always later in the list than their parent.
     shares : list of list of float
         Share of each class in a node.
+    picks : list of int
+        Class that a leaf picks: mostly that of the largest share, see `crosscomb.training.fit.keep_what_is_sure`.
     lowest, highest : list of float
         Range of each feature in training.
     """
@@ -36,17 +38,20 @@ class Tree(BaseModel):
     left: list[int]
     right: list[int]
     shares: list[list[Finite]]
+    picks: list[int]
     lowest: list[Finite]
     highest: list[Finite]
 
     @model_validator(mode="after")
     def _sound(self) -> Tree:
         nodes, features = len(self.feature), len(self.lowest)
-        lengths = {len(self.threshold), len(self.left), len(self.right), len(self.shares)}
+        lengths = {len(self.threshold), len(self.left), len(self.right), len(self.shares), len(self.picks)}
         if nodes == 0 or lengths != {nodes}:
             raise ValueError("the arrays of the tree differ in length or are empty")
         if len(self.highest) != features or len({len(row) for row in self.shares}) > 1:
             raise ValueError("the tree's classes or feature ranges are of uneven length")
+        if any(not 0 <= pick < self.n_classes for pick in self.picks):
+            raise ValueError(f"the tree picks a class that is none of its {self.n_classes}")
         for node in range(nodes):
             children = (self.left[node], self.right[node])
             if children == (-1, -1):
@@ -76,8 +81,8 @@ class Tree(BaseModel):
         )
 
     def predict(self, features: np.ndarray) -> np.ndarray:
-        """Class ``(n,)`` of each row of features ``(n, f)``: the largest share of its leaf, the first of equals."""
-        return np.argmax(np.array(self.shares), axis=1)[self.leaves(features)]
+        """Class ``(n,)`` that the leaf of each row of features ``(n, f)`` picks."""
+        return np.array(self.picks)[self.leaves(features)]
 
     def outside(self, features: np.ndarray, margin: float = 0.1) -> np.ndarray:
         """Tell per row ``(n,)`` whether a feature lies beyond its training range by more than a share of it."""

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from crosscomb.training.benchmark import Benchmark
+    from crosscomb.training.compare import Comparison
     from crosscomb.training.metrics import Score
 
 PIPE_WIDTH = 150
@@ -89,6 +90,21 @@ def show_table(title: str, table: pd.DataFrame) -> None:
     """Print a table of numbers with its index."""
     rows = [[str(name), *map(number, row)] for name, row in zip(table.index, table.to_numpy(), strict=True)]
     show(title, ["", *map(str, table.columns)], rows)
+
+
+def show_comparison(comparison: Comparison) -> None:
+    """Print how the selectors compare."""
+    rows = [
+        [*index, f"{row['ratio']:.3f}", f"{row['ratio low']:.2f} to {row['ratio high']:.2f}",
+         *(number(row[name]) for name in comparison.summary.columns[3:])]
+        for index, row in comparison.summary.iterrows()
+    ]  # fmt: skip
+    header = ["selector", "left out", "switch / best single", "95 %", *comparison.summary.columns[3:]]
+    show("Selectors on recordings they were not fitted on", header, rows, left=2)
+    show_table("Single estimators [deg]", comparison.references)
+    show_table("RMSE by kind of driving [deg]", comparison.by_manoeuvre)
+    show_table("RMSE by true beta [deg]", comparison.by_band)
+    show_table("What leaks when windows are dealt out at random (default tree)", comparison.leakage)
 
 
 def show_log_scores(scores: dict[str, dict[str, Score]]) -> None:

@@ -74,7 +74,7 @@ def test_the_file_says_all_settings_in_plain_json(content):
     assert [entry["name"] for entry in content["filters"]] == list(DEFAULT_FILTERS)
     assert all(entry["settings"]["noise"] for entry in content["filters"])
     assert content["vehicle"]["mass"] > 0.0
-    assert set(content["switch"]) == {"dwell", "confirm", "transition"}
+    assert set(content["switch"]) == set(SwitchSettings.model_fields)
 
 
 @pytest.mark.parametrize("version", [0, SCHEMA_VERSION + 1, str(SCHEMA_VERSION), None])

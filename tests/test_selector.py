@@ -7,8 +7,8 @@ from sklearn.tree import DecisionTreeClassifier
 
 from crosscomb.selector import Tree
 from crosscomb.training.bank import run_bank
-from crosscomb.training.fit import SELECTORS, fit_tree, to_tree
-from crosscomb.training.labels import Windows, concatenate
+from crosscomb.training.fit import SELECTORS, TreeShape, fit_tree, to_tree
+from crosscomb.training.labels import TIE, Windows, concatenate
 from crosscomb.training.recordings import Recording
 from crosscomb.training.train import default_filters
 
@@ -16,7 +16,7 @@ CLASSES = 3
 DEPTHS = (1, 3, 8)
 
 
-@pytest.fixture(scope="module", params=list(SELECTORS))
+@pytest.fixture(scope="module", params=["tree", "paper"])
 def table(request, recordings: list[Recording]) -> tuple[str, Windows, np.ndarray]:
     """Kind of selector, its training windows, and the features of every sample of all logs."""
     kind = SELECTORS[request.param]
@@ -32,10 +32,17 @@ def table(request, recordings: list[Recording]) -> tuple[str, Windows, np.ndarra
 def fitted(table) -> list[tuple[DecisionTreeClassifier, Tree]]:
     """Trees of scikit-learn and what was taken over of them."""
     kind = SELECTORS[table[0]]
-    made = [fit_tree(table[1], kind, depth, seed) for seed, depth in enumerate(DEPTHS)]
+    shapes = [TreeShape(depth, 0.01) for depth in DEPTHS]
+    made = [fit_tree(table[1].features, table[1], kind.by_regret, shape, 0) for shape in shapes]
     free = DecisionTreeClassifier(criterion="entropy", random_state=0).fit(table[1].features, table[1].label)
     assert free.get_depth() > max(DEPTHS)
-    return [(tree, to_tree(tree, table[1], CLASSES)) for tree in (*made, free)]
+    return [(tree, to_tree(tree, table[1].features, CLASSES)) for tree in (*made, free)]
+
+
+def grow(windows: Windows, by_regret: bool, depth: int) -> Tree:
+    """A tree of some depth, as crosscomb keeps it."""
+    shape = TreeShape(depth, 0.01)
+    return to_tree(fit_tree(windows.features, windows, by_regret, shape, 0), windows.features, CLASSES)
 
 
 def assert_same(one: DecisionTreeClassifier, other: Tree, features: np.ndarray) -> None:
@@ -83,7 +90,7 @@ def test_shares_of_a_leaf_are_those_of_its_windows(table):
         weights = windows.saved
     else:
         weights = np.eye(CLASSES)[windows.label]
-    tree = to_tree(fit_tree(windows, SELECTORS[kind], 4, 0), windows, CLASSES)
+    tree = grow(windows, SELECTORS[kind].by_regret, 4)
     leaves = tree.leaves(windows.features)
     for leaf in np.unique(leaves):
         total = weights[leaves == leaf].sum(axis=0)
@@ -91,24 +98,24 @@ def test_shares_of_a_leaf_are_those_of_its_windows(table):
 
 
 @pytest.mark.parametrize("table", ["tree"], indirect=True)
-def test_a_leaf_by_regret_picks_the_filter_with_the_least_squared_error(table):
+def test_a_leaf_by_regret_picks_the_filter_with_the_least_regret(table):
     _, windows, _ = table
-    tree = to_tree(fit_tree(windows, SELECTORS["tree"], 6, 0), windows, CLASSES)
+    tree = grow(windows, True, 6)
     leaves, chosen = tree.leaves(windows.features), tree.predict(windows.features)
     assert len(np.unique(leaves)) > 4
     for leaf in np.unique(leaves):
         inside = leaves == leaf
-        assert chosen[inside][0] == np.argmin((windows.rmse[inside] ** 2).sum(axis=0))
+        assert chosen[inside][0] == np.argmin(np.maximum(windows.rmse[inside], TIE).sum(axis=0))
 
 
-@pytest.mark.parametrize("kind", list(SELECTORS))
-def test_a_filter_that_is_never_best_is_never_chosen(kind):
+@pytest.mark.parametrize("by_regret", [True, False])
+def test_a_filter_that_is_never_best_is_never_chosen(by_regret):
     rng = np.random.default_rng(0)
     features = rng.standard_normal((300, 2)).astype(np.float32)
     rmse = np.where(features[:, :1] > 0.3, [[0.1, 0.9, 0.2]], [[0.3, 0.9, 0.2]])
-    windows = Windows(features, rmse)
-    fitted = fit_tree(windows, SELECTORS[kind], 4, 0)
-    tree = to_tree(fitted, windows, CLASSES)
+    windows = Windows(features, rmse, features, rmse, rmse[:, 0])
+    fitted = fit_tree(features, windows, by_regret, TreeShape(4, 0.01), 0)
+    tree = to_tree(fitted, features, CLASSES)
     assert tree.n_classes == CLASSES
     np.testing.assert_array_equal(tree.predict(features), windows.label)
     assert set(windows.label) == {0, 2}

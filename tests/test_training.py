@@ -218,18 +218,20 @@ def test_scores_of_a_log_are_those_of_its_columns(simulated, car):
 
 
 def test_the_confusion_matrix_counts_windows(banks, trained):
-    chosen = trained.artefact
+    chosen, together = trained.artefact, np.zeros((3, 3), dtype=int)
     for bank in banks[:4]:
         windows = bank.windows(chosen.window)
         picked = chosen.tree.predict(windows.features)
         expected = np.zeros((3, 3), dtype=int)
         for best, selected in zip(windows.label, picked, strict=True):
             expected[best, selected] += 1
-        np.testing.assert_array_equal(confusion_of(windows, chosen), expected)
-    together = evaluate(banks[:4], chosen).confusion
-    np.testing.assert_array_equal(
-        together, sum(confusion_of(bank.windows(WINDOW), chosen) for bank in banks[:4])
-    )
+        answers = [run.answer(chosen) for run in bank.runs]
+        counts, regret = confusion_of(bank, answers, chosen)
+        np.testing.assert_array_equal(counts, expected)
+        lost = windows.rmse[np.arange(len(picked)), picked] - windows.rmse.min(axis=1)
+        assert regret == pytest.approx(np.degrees(lost.sum()))
+        together += expected
+    np.testing.assert_array_equal(evaluate(banks[:4], chosen).confusion, together)
 
 
 def test_evaluation_scores_what_the_switch_gives_a_user(recordings, banks, trained):
@@ -292,7 +294,7 @@ def test_the_artefact_is_refitted_on_all_recordings(recordings, banks, trained):
     np.testing.assert_array_equal(np.float32(artefact.tree.highest), features.max(axis=0))
     assert sorted(artefact.training["data"]) == sorted(recording.name for recording in recordings)
     assert artefact.vehicle == recordings[0].vehicle
-    assert trained.depth in SELECTORS["tree"].depths
+    assert trained.shape in SELECTORS["tree"].shapes
 
 
 def files_of(training: Training, folder: Path) -> tuple[bytes, str]:
@@ -304,7 +306,7 @@ def test_the_same_seed_gives_the_same_bytes_whatever_the_jobs(recordings, traine
     ticks = []
     again = train(recordings, seed=2, jobs=2, progress=lambda: ticks.append(1))
     assert files_of(again, tmp_path) == files_of(trained, tmp_path)
-    assert len(ticks) == steps(recordings, "tree")
+    assert len(ticks) == steps(recordings, 5)
 
 
 def test_another_seed_gives_another_split(recordings, trained, tmp_path):
@@ -340,7 +342,7 @@ def test_a_fold_with_one_class_is_no_obstacle(recordings, banks):
         best = 0 if index == 3 else 1
         frame = recording.signals.frame.assign(beta_ref=bank.joined(lambda run: run.beta)[:, best])
         altered.append(replace(recording, signals=replace(recording.signals, frame=frame)))
-    for selector in SELECTORS:
+    for selector in ("tree", "paper", "hybrid"):
         trained = train(altered, selector)
         assert trained.artefact.tree.n_classes == 3
 
@@ -483,15 +485,13 @@ def unseen_logs(car: Vehicle) -> list[Recording]:
     return [Recording(log.name, Path(log.name), car, log) for log in logs]
 
 
-def test_the_shipped_switch_stays_near_the_best_single_filter_on_unseen_logs(car):
-    """Which filter is the best is known only afterwards; a tree on ay and yaw rate alone comes near it, no more."""
+def test_the_shipped_switch_is_better_than_the_best_single_filter_on_unseen_logs(car):
+    """Which filter is the best is known only afterwards; the switch must beat even that one."""
     artefact = load_artefact()
     unseen = unseen_logs(car)
     banks = run_bank(unseen, artefact.filters, artefact.rate, artefact.window)
     evaluation = evaluate(banks, artefact)
     rmse = evaluation.overall["rmse"]
     print(rmse.round(3).to_dict())
-    others = [name for name in artefact.filter_names if name != evaluation.best_single]
-    assert rmse[ORACLE] < rmse[SWITCH] < rmse[others].min()
-    assert rmse[SWITCH] < 1.1 * rmse[evaluation.best_single] < rmse[ZERO]
+    assert rmse[ORACLE] < rmse[SWITCH] < rmse[evaluation.best_single] < rmse[ZERO]
     assert (evaluation.table[SWITCH, "switches_per_minute"] > 0.0).any()

@@ -44,13 +44,11 @@ def test_statistics_equal_numpy(channels):
             expected += [
                 statistic
                 for x in (a, r)
-                for statistic in (x.mean(), abs(x).mean(), x.std(), x.min(), x.max())
+                for statistic in (abs(x.mean()), abs(x).mean(), x.std(), abs(x).max())
             ]
-        expected += [
-            np.mean(ay[max(0, k + 1 - span) : k + 1] * yaw_rate[max(0, k + 1 - span) : k + 1])
-            for span in (10, 100)
-        ]
-        np.testing.assert_allclose(features[k], expected, rtol=1e-6, atol=1e-7)
+            slope = np.sum(a * r) / np.sum(r * r)  # least squares through the origin
+            expected += [np.mean(a * r), slope, np.sqrt(np.mean((a - slope * r) ** 2))]
+        np.testing.assert_allclose(features[k], expected, rtol=1e-6, atol=1e-6)
 
 
 @both
@@ -58,7 +56,7 @@ def test_features_are_as_many_as_their_names(channels, settings):
     features = window_features(*channels, settings)
     assert features.shape[1] == len(settings.names) == len(set(settings.names))
     assert features.dtype == np.float32
-    assert all(name.endswith(("[m/s^2]", "[rad/s]", "[m rad/s^3]")) for name in settings.names)
+    assert all(name.endswith(("[m/s^2]", "[rad/s]", "[m rad/s^3]", "[m/s]")) for name in settings.names)
 
 
 def test_names_say_what_stands_there(channels):
@@ -67,8 +65,8 @@ def test_names_say_what_stands_there(channels):
     assert now["ay[0] [m/s^2]"] == np.float32(ay[50])
     assert now["yaw_rate[-9] [rad/s]"] == np.float32(yaw_rate[41])
     now = dict(zip(STATISTICS.names, window_features(ay, yaw_rate, STATISTICS)[200], strict=True))
-    assert now["max(ay, 10 samples) [m/s^2]"] == np.float32(ay[191:201].max())
-    assert now["min(yaw_rate, 100 samples) [rad/s]"] == np.float32(yaw_rate[101:201].min())
+    assert now["max abs(ay, 10 samples) [m/s^2]"] == np.float32(abs(ay[191:201]).max())
+    assert now["std(yaw_rate, 100 samples) [rad/s]"] == np.float32(yaw_rate[101:201].std())
 
 
 @both
@@ -105,9 +103,9 @@ def test_other_lengths_are_cut_as_asked(channels):
     ay, yaw_rate = channels
     features = window_features(ay, yaw_rate, WindowSettings(length=4, history=3))
     names = WindowSettings(length=4, history=3).names
-    at = names.index("mean(ay, 12 samples) [m/s^2]")
-    assert features[100, at] == pytest.approx(ay[89:101].mean(), rel=1e-6)
-    assert features[100, 0] == pytest.approx(ay[97:101].mean(), rel=1e-6)
+    at = names.index("abs mean(ay, 12 samples) [m/s^2]")
+    assert features[100, at] == pytest.approx(abs(ay[89:101].mean()), rel=1e-6)
+    assert features[100, 0] == pytest.approx(abs(ay[97:101].mean()), rel=1e-6)
 
 
 @pytest.mark.parametrize(
@@ -116,3 +114,16 @@ def test_other_lengths_are_cut_as_asked(channels):
 def test_settings_out_of_range_or_unknown_are_refused(wrong):
     with pytest.raises(ValidationError):
         WindowSettings(**wrong)
+
+
+def test_a_mirrored_drive_looks_the_same(channels):
+    mirrored = window_features(*(-channel for channel in channels), STATISTICS)
+    np.testing.assert_array_equal(mirrored, window_features(*channels, STATISTICS))
+
+
+def test_in_a_steady_turn_the_slope_is_the_speed():
+    yaw_rate = 0.3 + 0.1 * np.sin(0.02 * np.arange(400))
+    names = STATISTICS.names
+    seen = dict(zip(names, window_features(17.0 * yaw_rate, yaw_rate, STATISTICS)[300], strict=True))
+    assert seen["slope(ay over yaw_rate, 100 samples) [m/s]"] == pytest.approx(17.0)
+    assert seen["rms(ay - slope yaw_rate, 100 samples) [m/s^2]"] == pytest.approx(0.0, abs=1e-3)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -18,6 +19,10 @@ ZERO, SWITCH, ORACLE = "zero", "switch", "oracle"
 """Names of the rows beside those of the filters."""
 
 
+BANDS = (0.0, 1.0, 3.0, 6.0, 90.0)
+"""Edges of the ranges of the true beta [deg]."""
+
+
 @dataclass(frozen=True)
 class Evaluation:
     """Scores of a selector on a set of recordings.
@@ -29,10 +34,28 @@ class Evaluation:
         switch and oracle, and ``("switch", "coverage" | "switches_per_minute" | "largest_jump")``.
     confusion : (filters, filters) int
         Windows by best filter (rows) and selected filter (columns).
+    lost : float
+        Regret summed over the windows [deg].
+    bands : (bands, estimators + 1)
+        Sums of squared errors [deg^2] per range of the true beta, and the number of samples in it.
     """
 
     table: pd.DataFrame
     confusion: np.ndarray
+    lost: float
+    bands: np.ndarray
+
+    @property
+    def regret(self) -> float:
+        """Mean over windows of the RMSE of what was selected less that of the best filter [deg]."""
+        return self.lost / max(int(self.confusion.sum()), 1)
+
+    @property
+    def by_band(self) -> pd.DataFrame:
+        """RMSE [deg] over all samples per range of the true beta, estimators as columns."""
+        names = [f"{low} to {high} deg" for low, high in itertools.pairwise(BANDS)]
+        counts = np.maximum(self.bands[:, -1:], 1.0)
+        return pd.DataFrame(np.sqrt(self.bands[:, :-1] / counts), index=names, columns=self.rmse.columns)
 
     @property
     def rmse(self) -> pd.DataFrame:
@@ -65,21 +88,45 @@ class Evaluation:
 def evaluate(banks: Sequence[BankRun], artefact: Artefact) -> Evaluation:
     """Score an artefact on recordings; its fitted part must not have seen them."""
     rows, classes = {}, len(artefact.filters)
-    confusion = np.zeros((classes, classes), dtype=np.int64)
+    confusion, lost = np.zeros((classes, classes), dtype=np.int64), 0.0
+    bands = np.zeros((len(BANDS) - 1, classes + 4))
     for bank in banks:
         answers = [run.answer(artefact) for run in bank.runs]
-        rows[bank.recording.name] = evaluate_one(bank, answers, artefact)
-        confusion += confusion_of(bank, answers, artefact)
+        estimates = estimates_of(bank, answers, artefact)
+        rows[bank.recording.name] = evaluate_one(bank, estimates, answers, artefact)
+        bands += squares_by_band(bank, estimates)
+        counts, regret = confusion_of(bank, answers, artefact)
+        confusion, lost = confusion + counts, lost + regret
     columns = list(next(iter(rows.values())))
     values = [[row[column] for column in columns] for row in rows.values()]
     table = pd.DataFrame(values, index=list(rows), columns=pd.MultiIndex.from_tuples(columns))
-    return Evaluation(table, confusion)
+    return Evaluation(table, confusion, lost, bands)
+
+
+def estimates_of(bank: BankRun, answers: Sequence[Answer], artefact: Artefact) -> dict[str, np.ndarray]:
+    """beta of everything that is scored ``(n,) [rad]``, by name."""
+    each = bank.joined(lambda run: run.beta)
+    beta = np.concatenate([answer.beta for answer in answers])
+    filters = {name: each[:, i] for i, name in enumerate(artefact.filter_names)}
+    return {ZERO: np.zeros_like(beta), **filters, SWITCH: beta, ORACLE: bank.oracle(artefact.window.length)}
+
+
+def squares_by_band(bank: BankRun, estimates: dict[str, np.ndarray]) -> np.ndarray:
+    """Sums of squared errors [deg^2] per range of the true beta; last column the number of samples."""
+    truth = np.degrees(bank.beta_ref[bank.counted])
+    band = np.clip(np.digitize(np.abs(truth), BANDS) - 1, 0, len(BANDS) - 2)
+    squares = [(np.degrees(beta[bank.counted]) - truth) ** 2 for beta in estimates.values()]
+    sums = [np.bincount(band, weights, len(BANDS) - 1) for weights in (*squares, np.ones(len(truth)))]
+    return np.column_stack(sums)
 
 
 def pool(evaluations: Sequence[Evaluation]) -> Evaluation:
     """Put the evaluations of several folds together."""
     return Evaluation(
-        pd.concat([one.table for one in evaluations]), np.sum([one.confusion for one in evaluations], axis=0)
+        pd.concat([one.table for one in evaluations]),
+        np.sum([one.confusion for one in evaluations], axis=0),
+        float(np.sum([one.lost for one in evaluations])),
+        np.sum([one.bands for one in evaluations], axis=0),
     )
 
 
@@ -95,16 +142,13 @@ def score_filters(banks: Sequence[BankRun], names: Sequence[str]) -> pd.DataFram
 
 
 def evaluate_one(
-    bank: BankRun, answers: Sequence[Answer], artefact: Artefact
+    bank: BankRun, estimates: dict[str, np.ndarray], answers: Sequence[Answer], artefact: Artefact
 ) -> dict[tuple[str, str], float]:
     """Scores of one recording [deg], from the answers to its segments."""
-    beta = np.concatenate([answer.beta for answer in answers])
+    beta = estimates[SWITCH]
     beta_std = np.concatenate([answer.beta_std for answer in answers])
     active = np.concatenate([answer.active for answer in answers])
     each = bank.joined(lambda run: run.beta)
-    estimates = {ZERO: np.zeros_like(beta)}
-    estimates |= {name: each[:, i] for i, name in enumerate(artefact.filter_names)}
-    estimates |= {SWITCH: beta, ORACLE: bank.oracle(artefact.window.length)}
     row = {}
     for name, estimate in estimates.items():
         result = score(estimate, bank.beta_ref, bank.counted)
@@ -120,12 +164,14 @@ def evaluate_one(
     return row
 
 
-def confusion_of(bank: BankRun, answers: Sequence[Answer], artefact: Artefact) -> np.ndarray:
-    """Count windows by best filter (rows) and filter that the selector wanted (columns)."""
+def confusion_of(bank: BankRun, answers: Sequence[Answer], artefact: Artefact) -> tuple[np.ndarray, float]:
+    """Count windows by best filter (rows) and filter that the selector wanted (columns), and sum their regret [deg]."""
     classes = len(artefact.filters)
-    counts = np.zeros((classes, classes), dtype=np.int64)
+    counts, lost = np.zeros((classes, classes), dtype=np.int64), 0.0
     for run, answer in zip(bank.runs, answers, strict=True):
         signals = run.segment.signals
         ends = window_ends(signals.beta_ref, signals.column("vx"), artefact.window)
-        np.add.at(counts, (label_run(run, artefact.window).label, answer.decision[ends]), 1)
-    return counts
+        windows, wanted = label_run(run, artefact.window), answer.decision[ends]
+        np.add.at(counts, (windows.label, wanted), 1)
+        lost += float(np.degrees(windows.regret(wanted)).sum())
+    return counts, lost

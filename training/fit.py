@@ -47,7 +47,7 @@ class TreeShape:
     pruning: float = 1e-4
 
 
-SHAPES = (TreeShape(3, 0.02), TreeShape(5, 0.01), TreeShape(8, 0.003))
+SHAPES = (TreeShape(3, 0.02), TreeShape(4, 0.01), TreeShape(5, 0.01))
 
 
 @dataclass(frozen=True)
@@ -124,7 +124,9 @@ THINNING = 10
 """Every so many samples count in the calibration: neighbours say the same."""
 
 
-def fit_tree(features: np.ndarray, windows: Windows, by_regret: bool, shape: TreeShape, seed: int) -> Tree:
+def fit_tree(
+    features: np.ndarray, windows: Windows, by_regret: bool, shape: TreeShape, seed: int
+) -> DecisionTreeClassifier:
     """Fit the entropy tree (Atheupe 2023, eq. 34 to 36, sons weighted by their shares).
 
     Parameters
@@ -141,12 +143,10 @@ def fit_tree(features: np.ndarray, windows: Windows, by_regret: bool, shape: Tre
         criterion="entropy", max_depth=shape.depth, min_weight_fraction_leaf=shape.leaf, ccp_alpha=shape.pruning,
         random_state=seed,
     )  # fmt: skip
-    if by_regret:
-        votes = np.tile(np.arange(classes), len(label))
-        tree.fit(np.repeat(features, classes, axis=0), votes, sample_weight=windows.saved.ravel())
-    else:
-        tree.fit(features, label)
-    return to_tree(tree, features, classes)
+    if not by_regret:
+        return tree.fit(features, label)
+    votes = np.tile(np.arange(classes), len(label))
+    return tree.fit(np.repeat(features, classes, axis=0), votes, sample_weight=windows.saved.ravel())
 
 
 def to_tree(fitted: DecisionTreeClassifier, features: np.ndarray, n_filters: int) -> Tree:
@@ -161,9 +161,55 @@ def to_tree(fitted: DecisionTreeClassifier, features: np.ndarray, n_filters: int
         left=arrays.children_left.tolist(),
         right=arrays.children_right.tolist(),
         shares=shares.tolist(),
+        picks=np.argmax(shares, axis=1).tolist(),
         lowest=features.min(axis=0).astype(float).tolist(),
         highest=features.max(axis=0).astype(float).tolist(),
     )
+
+
+SURE = 1.0
+"""A leaf departs from the best single filter where its gain is this many standard errors, over recordings."""
+
+LEAST_WITNESSES = 3
+"""And where at least so many recordings speak for it."""
+
+
+def keep_what_is_sure(
+    tree: Tree, leaves: np.ndarray, windows: Windows, owner: np.ndarray, safe: int, sure: float = SURE
+) -> Tree:
+    """Let a leaf pick another filter than the safe one only where that pays beyond doubt.
+
+    Windows of one recording say the same thing many times: what counts is in how many recordings a leaf gains.
+
+    Parameters
+    ----------
+    tree : Tree
+    leaves : (w,) int
+        Leaf of each window.
+    windows : Windows
+    owner : (w,) int
+        Recording of each window.
+    safe : int
+        Best single filter.
+    sure : float
+        Standard errors.
+    """
+    picks, counts = np.array(tree.picks), np.bincount(owner)
+    for leaf in np.unique(leaves):
+        inside = np.flatnonzero(leaves == leaf)
+        best, gained = safe, 0.0
+        for other in range(tree.n_classes):
+            saved = windows.rmse[inside, safe] - windows.rmse[inside, other]
+            # What it takes off the mean error of each recording that comes here.
+            each = np.bincount(owner[inside], saved, len(counts))[np.unique(owner[inside])]
+            each = each / counts[np.unique(owner[inside])]
+            if other == safe or len(each) < LEAST_WITNESSES:
+                continue
+            gain = each.mean() - sure * each.std(ddof=1) / np.sqrt(len(each))
+            if gain > gained:
+                best, gained = other, gain
+        picks[leaf] = best
+    return tree.model_copy(update={"picks": picks.tolist()})
 
 
 @dataclass(frozen=True)
@@ -238,6 +284,11 @@ class Fitter:
         """Artefact with a tree only, its doubt not calibrated."""
         windows = self.together(members)
         features = windows.everything if self.kind.all_signals else windows.features
+        fitted = fit_tree(features, windows, self.kind.by_regret, shape, self.seed)
+        tree = to_tree(fitted, features, len(self.filters))
+        if self.kind.by_regret:
+            owner = np.repeat(np.arange(len(members)), [len(self.windows[i].rmse) for i in members])
+            tree = keep_what_is_sure(tree, tree.leaves(features), windows, owner, self.best_single(members))
         # The paper's safe choice is the particle filter; ours the one that was the best by measurement.
         paper = self.selector == "paper" and "random_walk_pf" in self.names
         return Artefact(
@@ -247,7 +298,7 @@ class Fitter:
             filters=self.filters,
             fallback="random_walk_pf" if paper else self.names[self.best_single(members)],
             switch=SwitchSettings(),
-            tree=fit_tree(features, windows, self.kind.by_regret, shape, self.seed),
+            tree=tree,
             tree_sees_all=self.kind.all_signals,
             vehicle=self.vehicle,
         )
@@ -277,7 +328,7 @@ class Fitter:
     def _correction(self, members: Sequence[int], inner: Sequence[tuple[list[int], list[int]]]) -> Correction:
         """Fit the correction on all members and its doubt on what parts of them left out."""
         anchor, signs = self.best_single(members), mirror_signs(self.names)
-        features, errors = [], []
+        parts = []
         for fit, test in inner:
             part = fit_correction(self.together(fit), self.names, anchor, self.seed)
             windows = self.together(test)
@@ -285,9 +336,8 @@ class Fitter:
             seen = windows.everything[known]
             moved = part.trees.predict(seen) - part.trees.predict(seen * signs)
             moved = np.clip(0.5 * moved[:, 0], -part.bound, part.bound)
-            features.append(seen)
-            errors.append((windows.beta_ref - windows.beta[:, anchor])[known] - moved)
-        doubt = fit_doubt(np.concatenate(features), np.concatenate(errors), signs, self.seed)
+            parts.append((seen, (windows.beta_ref - windows.beta[:, anchor])[known] - moved))
+        doubt = fit_doubt(parts, signs, self.seed)
         correction = fit_correction(self.together(members), self.names, anchor, self.seed)
         return correction.model_copy(update={"doubt": doubt})
 

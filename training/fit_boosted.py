@@ -14,7 +14,7 @@ from crosscomb.correction import Correction
 from crosscomb.features import layout
 from crosscomb.training.labels import Windows
 
-ITERATIONS, LEAVES, LEARNING_RATE = 250, 31, 0.06
+ITERATIONS, LEAVES, LEARNING_RATE = 150, 31, 0.1
 """Of the trees that correct; on simulated logs more brought nothing."""
 
 TEMPERATURES = tuple(float(one) for one in np.geomspace(0.02, 5.0, 25))
@@ -155,23 +155,34 @@ def fit_correction(windows: Windows, filters: list[str], anchor: int, seed: int)
     )
 
 
-def fit_doubt(features: np.ndarray, error: np.ndarray, signs: np.ndarray, seed: int) -> Boosted:
-    """Fit the logarithm of the standard deviation on errors of recordings left out, and calibrate it there.
+def fit_doubt(parts: Sequence[tuple[np.ndarray, np.ndarray]], signs: np.ndarray, seed: int) -> Boosted:
+    """Fit the logarithm of the standard deviation on errors of recordings left out.
+
+    Its scale is calibrated on each part by the trees of the others: they know the errors they were fitted on.
 
     Parameters
     ----------
-    features : (w, f) float32
-    error : (w,) [rad]
+    parts : sequence of ((w, f) float32, (w,) [rad])
+        Features and errors; at least two, of different recordings.
     signs : (f,)
         Of the features in the mirrored drive.
     seed : int
     """
-    size = np.log(np.maximum(np.abs(error), LEAST_DOUBT))
-    model = fit_trees(with_mirrored(features, signs), np.tile(size, 2), DOUBT_ITERATIONS, seed)
-    doubt = to_boosted([model])
-    foretold = 0.5 * (doubt.predict(features) + doubt.predict(features * signs))[:, 0]
-    scale = conformal_scale(error, np.exp(foretold))
+    ratios = []
+    for i, (features, error) in enumerate(parts):
+        others = _doubt_trees([part for j, part in enumerate(parts) if j != i], signs, seed)
+        foretold = 0.5 * (others.predict(features) + others.predict(features * signs))[:, 0]
+        ratios.append(error / np.exp(foretold))
+    doubt = _doubt_trees(parts, signs, seed)
+    every = np.concatenate(ratios)
+    scale = conformal_scale(every, np.ones(len(every)))
     return doubt.model_copy(update={"baseline": [doubt.baseline[0] + float(np.log(scale))]})
+
+
+def _doubt_trees(parts: Sequence[tuple[np.ndarray, np.ndarray]], signs: np.ndarray, seed: int) -> Boosted:
+    features, errors = (np.concatenate(column) for column in zip(*parts, strict=True))
+    size = np.log(np.maximum(np.abs(errors), LEAST_DOUBT))
+    return to_boosted([fit_trees(with_mirrored(features, signs), np.tile(size, 2), DOUBT_ITERATIONS, seed)])
 
 
 def conformal_scale(error: np.ndarray, beta_std: np.ndarray) -> float:

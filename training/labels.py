@@ -43,6 +43,14 @@ class Windows:
         """Filter with the lowest RMSE in each window ``(w,)`` (Atheupe 2023, eq. 33)."""
         return np.argmin(self.rmse, axis=1)
 
+    def regret(self, chosen: np.ndarray) -> np.ndarray:
+        """RMSE of the chosen filters ``(w,) int`` less that of the best one in each window ``(w,) [rad]``."""
+        return self.rmse[np.arange(len(chosen)), chosen] - self.rmse.min(axis=1)
+
+    def where(self, inside: np.ndarray) -> Windows:
+        """Keep the windows that `inside` ``(w,) bool`` says."""
+        return Windows(*(getattr(self, name)[inside] for name in WINDOW_COLUMNS))
+
     @property
     def saved(self) -> np.ndarray:
         """RMSE that each filter saves over the worst one in each window ``(w, filters) [rad]``, scaled to mean one.
@@ -54,6 +62,9 @@ class Windows:
         saved = rmse.max(axis=1, keepdims=True) - rmse
         mean = saved.mean()
         return saved / mean if mean > 0.0 else np.ones_like(saved)
+
+
+WINDOW_COLUMNS = ("features", "rmse", "everything", "beta", "beta_ref")
 
 
 def window_ends(beta_ref: np.ndarray, vx: np.ndarray, settings: WindowSettings) -> np.ndarray:
@@ -94,8 +105,7 @@ def label_run(run: FilterRun, settings: WindowSettings, everything: bool = False
 
 def concatenate(parts: list[Windows]) -> Windows:
     """Put the windows of several segments into one table."""
-    columns = ("features", "rmse", "everything", "beta", "beta_ref")
-    return Windows(*(np.concatenate([getattr(part, name) for part in parts]) for name in columns))
+    return Windows(*(np.concatenate([getattr(part, name) for part in parts]) for name in WINDOW_COLUMNS))
 
 
 def oracle_beta(run: FilterRun, length: int) -> np.ndarray:
