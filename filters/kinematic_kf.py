@@ -28,6 +28,7 @@ from crosscomb.filters.base import (
     propagate,
     scalar_update,
 )  # fmt: skip
+from crosscomb.models.compiled import inlined
 from crosscomb.models.kinematic import input_gain, rotation
 from crosscomb.signals import MIN_SPEED
 
@@ -41,7 +42,7 @@ class KinematicNoise(NamedTuple):
     missing_accel: float = 3.0  # accelerometer error while a channel is missing [m/s^2 per sqrt(Hz)]
 
 
-@njit(cache=True)
+@inlined
 def kinematic_predict(state, ax, ay, yaw_rate, noise, dt):
     """Predict [vx, vy] over dt with held accelerations; a missing one keeps the velocity and widens it."""
     mean, cov = state.mean, state.cov
@@ -58,7 +59,7 @@ def kinematic_predict(state, ax, ay, yaw_rate, noise, dt):
     propagate(cov, f00, f01 * decay, f10, f11 * decay, variance, 0.0, variance)
 
 
-@njit(cache=True)
+@inlined
 def kinematic_start(state, sample, car, noise, out):
     """Answer where the car is slow and start on the first sample above the gate; True where it did either."""
     mean, cov = state.mean, state.cov
@@ -77,7 +78,7 @@ def kinematic_start(state, sample, car, noise, out):
     return True
 
 
-@njit(cache=True)
+@inlined
 def kinematic_update(state, sample, noise):
     """Update with the measured vx; give the NIS, NaN where vx is only held."""
     mean = state.mean
@@ -87,7 +88,7 @@ def kinematic_update(state, sample, noise):
     return math.nan
 
 
-@njit(cache=True)
+@inlined
 def velocity_answer(state, out):
     """Write beta of the state [vx, vy] and its standard deviation."""
     mean, cov = state.mean, state.cov
@@ -98,7 +99,7 @@ def velocity_answer(state, out):
     out[BETA_STD] = math.sqrt(spread) / speed2
 
 
-@njit(cache=True)
+@inlined
 def kinematic_step(state, sample, car, noise, dt, out):
     """One sample of the kinematic filter; `out` ``(3,)`` gets beta, its standard deviation and the NIS."""
     if kinematic_start(state, sample, car, noise, out):
