@@ -201,6 +201,16 @@ def dual_update(state, sample, car, noise, adapting):
 
 
 @inlined
+def doubt_of_tyres(by_tyres, tyre_cov):
+    """Variance that the doubt about the tyres adds to a state with these derivatives ``(4,)`` by them."""
+    variance = 0.0
+    for i in range(PARAMETERS):
+        for j in range(PARAMETERS):
+            variance += by_tyres[i] * tyre_cov[i, j] * by_tyres[j]
+    return variance
+
+
+@inlined
 def dual_step(state, sample, car, noise, dt, out):
     """One sample; `out` ``(7,)`` gets beta, its standard deviation, the NIS and the four tyre parameters."""
     mean, cov, limits = state.mean, state.cov, state.limits
@@ -219,7 +229,7 @@ def dual_step(state, sample, car, noise, dt, out):
         dual_predict(state, sample, car, noise, dt)
         out[NIS] = dual_update(state, sample, car, noise, adapting)
         out[BETA] = mean[1]
-        out[BETA_STD] = math.sqrt(cov[1, 1])
+        out[BETA_STD] = math.sqrt(cov[1, 1] + doubt_of_tyres(state.sensitivity[1], state.tyre_cov))
     for i in range(PARAMETERS):
         out[3 + i] = state.tyres[i]
 
