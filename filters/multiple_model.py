@@ -7,7 +7,7 @@ lasts, so samples are no independent evidence: log likelihoods count with dt / (
   car went over from one model to another; it leaves a model after `stay` seconds on average, for any model
   by its share.
 - `MMAE` (Magill 1965): each filter runs for itself; no probability falls below `floor`, so that a model can
-  come back.
+  come back. The floor gives the wrong models a say: where one is right all along, the doubt is overstated.
 
 Both answer with the probability-weighted mean and covariance, the NIS being the weighted mean of the
 filters'.
