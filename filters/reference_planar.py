@@ -66,12 +66,12 @@ class _Model:
 
     def rates(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """u_dot, v_dot, r_dot, ax, ay, and their Jacobian (5, 3)."""
-        jacobian = np.empty((5, 3))
-        return np.array(planar_jacobian(*x, self.contact, self.car, jacobian)), jacobian
+        jacobian, (u, v, r) = np.empty((5, 3)), x.tolist()
+        return np.array(planar_jacobian(u, v, r, self.contact, self.car, jacobian)), jacobian
 
     def hessians(self, x: np.ndarray) -> np.ndarray:
-        hessian = np.empty((5, 3, 3))
-        planar_hessian(*x, self.contact, self.car, hessian)
+        hessian, (u, v, r) = np.empty((5, 3, 3)), x.tolist()
+        planar_hessian(u, v, r, self.contact, self.car, hessian)
         return hessian
 
     def move(self, x: np.ndarray, steps: int) -> np.ndarray:
@@ -80,8 +80,8 @@ class _Model:
         return moved
 
     def expected(self, x: np.ndarray) -> np.ndarray:
-        z = np.empty(6)
-        _, _, _, ax, ay = planar_rates(*x, self.contact, self.car)
+        z, (u, v, r) = np.empty(6), x.tolist()
+        _, _, _, ax, ay = planar_rates(u, v, r, self.contact, self.car)
         expect(x, ax, ay, self.contact, z)
         return z[self.there]
 
