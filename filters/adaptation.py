@@ -10,9 +10,9 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 
 from crosscomb.filters.base import AY, STEER_HELD, VX, YAW_RATE
+from crosscomb.models.compiled import inlined
 from crosscomb.models.parameter_track import RATIONAL, first_parameters
 from crosscomb.models.single_track import SingleTrack
 
@@ -45,7 +45,7 @@ def parameter_limits(law: int, track: SingleTrack, noise: Any) -> Limits:
     )
 
 
-@njit(cache=True)
+@inlined
 def excited(sample, noise):
     """Tell whether the car corners so that its motion says something about its tyres."""
     return (
@@ -56,7 +56,7 @@ def excited(sample, noise):
     )
 
 
-@njit(cache=True)
+@inlined
 def growth(variance, walk, spread, dt):
     """Variance that a parameter's walk adds over dt, up to the variance at the start."""
     return min(walk * walk * dt, max(spread * spread - variance, 0.0))

@@ -10,8 +10,8 @@ from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 import pandas as pd
-from numba import njit
 
+from crosscomb.models.compiled import inlined
 from crosscomb.models.kinematic import slip_of_rolling_rear
 from crosscomb.models.single_track import SingleTrack, single_track
 from crosscomb.models.tyres import TYRE_LAWS
@@ -154,13 +154,13 @@ def gaussian() -> Gaussian:
     return Gaussian(np.zeros(2), np.eye(2), np.zeros(1, dtype=np.int64))
 
 
-@njit(cache=True)
+@inlined
 def below_gate(sample):
     """Tell whether the car is too slow for tyre slip to matter (also when it reverses)."""
     return not sample[VX] > MIN_SPEED
 
 
-@njit(cache=True)
+@inlined
 def low_speed_answer(sample, car, out):
     """Write the sideslip angle of rolling without tyre slip."""
     out[BETA] = slip_of_rolling_rear(sample[STEER], sample[STEER_REAR], car.a, car.b)
@@ -168,7 +168,7 @@ def low_speed_answer(sample, car, out):
     out[NIS] = math.nan
 
 
-@njit(cache=True)
+@inlined
 def scalar_update(state, h0, h1, innovation, variance):
     """Update a two-state filter with one scalar measurement, in Joseph form.
 
@@ -205,7 +205,7 @@ def scalar_update(state, h0, h1, innovation, variance):
     return innovation * innovation / s
 
 
-@njit(cache=True)
+@inlined
 def propagate(cov, f00, f01, f10, f11, q00, q01, q11):
     """Propagate a 2x2 covariance in place: F P F' + Q."""
     p00, p01, p11 = cov[0, 0], cov[0, 1], cov[1, 1]

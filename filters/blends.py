@@ -33,6 +33,7 @@ from crosscomb.filters.base import (
 )  # fmt: skip
 from crosscomb.filters.dynamic_ekf import DynamicNoise, dynamic_step
 from crosscomb.filters.kinematic_kf import KinematicNoise, kinematic_step
+from crosscomb.models.compiled import inlined
 
 
 class Members(NamedTuple):
@@ -67,7 +68,7 @@ class FusionNoise(NamedTuple):
     dynamic: DynamicNoise = DynamicNoise()
 
 
-@njit(cache=True)
+@inlined
 def run_members(state, sample, car, noise, dt, out):
     """Run both members on a sample; True where both give the answer of rolling, which is then written."""
     resting = state.kinematic.running[0] == 0 or below_gate(sample)
@@ -78,7 +79,7 @@ def run_members(state, sample, car, noise, dt, out):
     return resting
 
 
-@njit(cache=True)
+@inlined
 def mix(first, second, share, out):
     """Write the mixture of two estimates ``(>=3,)``, `share` of it the first."""
     apart = first[BETA] - second[BETA]
@@ -88,7 +89,7 @@ def mix(first, second, share, out):
     out[NIS] = math.nan
 
 
-@njit(cache=True)
+@inlined
 def calmness(slow, i, value, calm, lively, noise, dt):
     """Membership of "steady" of one signal, 0 to 1, from its distance to its own low-passed past."""
     if not math.isfinite(value):
@@ -100,7 +101,7 @@ def calmness(slow, i, value, calm, lively, noise, dt):
     return min(max((lively - rate) / (lively - calm), 0.0), 1.0)
 
 
-@njit(cache=True)
+@inlined
 def fuzzy_step(state, sample, car, noise, dt, out):
     """One sample of the fuzzy blend; `out` ``(4,)`` gets beta, its standard deviation, NaN and the index."""
     steer = calmness(state.slow, 0, sample[STEER], noise.steer_calm, noise.steer_lively, noise, dt)
@@ -112,7 +113,7 @@ def fuzzy_step(state, sample, car, noise, dt, out):
         mix(state.kinematic_out, state.dynamic_out, 1.0 - index, out)
 
 
-@njit(cache=True)
+@inlined
 def fusion_step(state, sample, car, noise, dt, out):
     """One sample of the fusion; `out` ``(3,)`` gets beta, its spread and NaN."""
     if run_members(state, sample, car, noise, dt, out):

@@ -226,6 +226,19 @@ CATALOGUE: dict[str, Entry] = {
     ),
 }
 
+DIVISORS = frozenset(
+    {"yaw_rate", "ax", "ay", "accel", "speed", "wheel_speed", "gnss_velocity", "heading"}  # what is measured
+    | {"pseudo", "slip", "split", "yaw_moment"}  # what is taken for measured
+    | {"turning", "turning_width", "moving_width", "yaw_layer", "ay_layer", "surprise"}  # widths
+    | {"memory", "stay", "disturbance_time", "bias_time", "outage"}  # times
+    | {"parameter_range", "low_friction"}
+)
+"""Settings, by their last name, by which kernels divide: 0 is no answer there."""
+
+LEAST_DIVISOR = 1e-9
+MOST_PARTICLES = 1_000_000
+MOST_SEED = 2**63 - 1
+
 DEFAULT_FILTERS = ("kinematic_kf", "dynamic_ekf", "random_walk_pf")
 
 
@@ -284,12 +297,14 @@ def _checked(where: str, value: Any, default: Any, words: tuple[str, ...] = ()) 
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise UsageError(f"{where}: {value!r} is no number")
     if isinstance(default, int):
-        least = 0 if where.endswith("seed") else 1
-        if int(value) != value or value < least:
-            raise UsageError(f"{where}: {value!r} must be a whole number of at least {least}")
+        least, most = (0, MOST_SEED) if where.endswith("seed") else (1, MOST_PARTICLES)
+        if not least <= value <= most or int(value) != value:
+            raise UsageError(f"{where}: {value!r} must be a whole number from {least} to {most}")
         return int(value)
     if not 0.0 <= value < float("inf"):
         raise UsageError(f"{where}: {value!r} must be finite and not negative")
+    if where.rpartition(".")[2].rpartition(" ")[2] in DIVISORS and value < LEAST_DIVISOR:
+        raise UsageError(f"{where}: {value!r} must be at least {LEAST_DIVISOR:g}: the filter divides by it")
     return float(value)
 
 

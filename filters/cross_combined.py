@@ -30,6 +30,7 @@ from crosscomb.filters.blends import mix
 from crosscomb.filters.kinematic_kf import KinematicNoise, kinematic_step
 from crosscomb.filters.planar import PlanarNoise
 from crosscomb.filters.sigma_point import SigmaPointState, SimpleUKF, sigma_point_step
+from crosscomb.models.compiled import inlined
 from crosscomb.models.planar import TRACKS, PlanarCar, planar_car
 
 
@@ -54,13 +55,13 @@ class Crossed(NamedTuple):
     dynamic_out: np.ndarray  # (3,)
 
 
-@njit(cache=True)
+@inlined
 def smooth_step(value):
     """Smooth step from 0 to 1."""
     return 1.0 / (1.0 + math.exp(-min(max(value, -60.0), 60.0)))
 
 
-@njit(cache=True)
+@inlined
 def kinematic_share(sample, noise):
     """Weight of the kinematic filter; 0 where the yaw rate is not known."""
     if not math.isfinite(sample[YAW_RATE]):
@@ -69,7 +70,7 @@ def kinematic_share(sample, noise):
     return turning * smooth_step((sample[VX] - noise.moving) / noise.moving_width)
 
 
-@njit(cache=True)
+@inlined
 def cross_step(state, sample, car, noise, dt, out):
     """One sample; `out` ``(4,)`` gets beta, its standard deviation, NaN and the kinematic share."""
     resting = state.kinematic.running[0] == 0 or below_gate(sample)

@@ -13,7 +13,8 @@ S S' = P. S is never squared: with centred points X and Z, each over sqrt(2 n), 
 Receding horizon: at each sample the plain filter runs anew over the last `horizon` seconds only, from a prior
 that knows little of v: rolling without slip, give or take 6 deg. A wider prior puts points beyond the peak of
 the tyre, where the force no longer tells the slip. Older errors are forgotten altogether; so is what was right,
-which is why it follows long slides worse than the plain filter.
+which is why it follows long slides worse than the plain filter. What it says of its errors holds where the tyres
+are nearly linear over the prior, and on bent ones once the horizon is full; in the first 0.1 s it is too sure there.
 
 Hybrid: both side by side, weighed by the likelihood of their innovations, which fades with a time constant.
 """
@@ -43,6 +44,7 @@ from crosscomb.filters.planar import (
     start,
     substeps,
 )  # fmt: skip
+from crosscomb.models.compiled import inlined
 from crosscomb.models.planar import Contacts, contacts, planar_rates
 
 POINTS = 6
@@ -83,7 +85,7 @@ def cubature_state() -> CubatureState:
     return CubatureState(np.zeros(3), np.eye(3), np.eye(3), running, np.zeros(1), contacts(), *scratch)
 
 
-@njit(cache=True)
+@inlined
 def cubature_points(mean, root, points):
     """Write the points x +/- sqrt(n) S e_i into points ``(2 n, n)``."""
     n = mean.size
@@ -94,7 +96,7 @@ def cubature_points(mean, root, points):
             points[n + p, i] = mean[i] - reach * root[i, p]
 
 
-@njit(cache=True)
+@inlined
 def predict_by_points(points, q_root, mean, root, array):
     """Write the mean of moved points ``(2 n, n)`` and the root of their covariance plus the process noise."""
     n, count = mean.size, points.shape[0]
@@ -111,7 +113,7 @@ def predict_by_points(points, q_root, mean, root, array):
     triangular_factor(array, n, count + n, root)
 
 
-@njit(cache=True)
+@inlined
 def root_update(mean, root, points, images, z, array, factor, innovation):
     """Update with the measurements that are not NaN; the arrays as in `CubatureState`.
 
@@ -154,7 +156,7 @@ def root_update(mean, root, points, images, z, array, factor, innovation):
     return nis, log_likelihood
 
 
-@njit(cache=True)
+@inlined
 def cubature_advance(state, sample, car, noise, dt):
     """Predict over dt and update with the sample; give the NIS."""
     mean, root, points, contact, z = state.mean, state.root, state.points, state.contact, state.z
@@ -179,7 +181,7 @@ def cubature_advance(state, sample, car, noise, dt):
     return nis
 
 
-@njit(cache=True)
+@inlined
 def cubature_answer(state, out):
     """Write beta and its standard deviation."""
     root, cov = state.root, state.cov
@@ -192,7 +194,7 @@ def cubature_answer(state, out):
     answer(state.mean, cov, out)
 
 
-@njit(cache=True)
+@inlined
 def cubature_step(state, sample, car, noise, dt, out):
     """One sample of the plain filter; `out` ``(3,)`` gets beta, its standard deviation and the NIS."""
     if begin(state.mean, state.cov, state.running, sample, car, noise, out):
@@ -236,7 +238,7 @@ def horizon_state(horizon: float) -> HorizonState:
     return HorizonState(cubature_state(), window, place, np.array([horizon]))
 
 
-@njit(cache=True)
+@inlined
 def horizon_step(state, sample, car, noise, dt, out):
     """One sample of the receding-horizon filter; `out` as in `cubature_step`."""
     inner, window, place = state.filter, state.window, state.place
@@ -290,7 +292,7 @@ class HybridState(NamedTuple):
     answers: np.ndarray  # (2, 3)
 
 
-@njit(cache=True)
+@inlined
 def hybrid_step(state, sample, car, noise, dt, out):
     """One sample of the hybrid; `out` as in `cubature_step`."""
     weights, answers = state.weights, state.answers

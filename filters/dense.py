@@ -9,13 +9,13 @@ from __future__ import annotations
 
 import math
 
-from numba import njit
+from crosscomb.models.compiled import inlined
 
 PIVOT_FLOOR = 1e-12
 """Least pivot of the guarded Cholesky factor, over the largest entry of the diagonal."""
 
 
-@njit(cache=True)
+@inlined
 def joseph_update(mean, cov, row, innovation, variance, work):
     """Update a filter with one scalar measurement, in Joseph form (I - K H) P (I - K H)' + K R K'.
 
@@ -57,7 +57,7 @@ def joseph_update(mean, cov, row, innovation, variance, work):
     return innovation * innovation / s
 
 
-@njit(cache=True)
+@inlined
 def propagate_cov(cov, f, q, work):
     """Propagate a covariance in place: F P F' + Q.
 
@@ -83,7 +83,7 @@ def propagate_cov(cov, f, q, work):
             cov[j, i] = total
 
 
-@njit(cache=True)
+@inlined
 def joseph_update_3(mean, cov, h0, h1, h2, innovation, variance):
     """`joseph_update` of three states with the row (h0, h1, h2), in scalars."""
     p00, p10, p11, p20, p21, p22 = cov[0, 0], cov[1, 0], cov[1, 1], cov[2, 0], cov[2, 1], cov[2, 2]
@@ -109,7 +109,7 @@ def joseph_update_3(mean, cov, h0, h1, h2, innovation, variance):
     return innovation * innovation * inverse
 
 
-@njit(cache=True)
+@inlined
 def propagate_3(cov, jacobian, h, q):
     """Propagate a covariance ``(3, 3)`` over an Euler step in place: F P F' + Q with F = I + h J, in scalars.
 
@@ -147,7 +147,7 @@ def propagate_3(cov, jacobian, h, q):
     cov[1, 2] = cov[2, 1] = d0 * f10 + d1 * f11 + d2 * f12 + q[2, 1]
 
 
-@njit(cache=True)
+@inlined
 def guarded_cholesky(a, n, factor):
     """Lower Cholesky factor L of the leading n x n block, L L' = A; never fails.
 
@@ -180,7 +180,7 @@ def guarded_cholesky(a, n, factor):
             factor[j, i] = 0.0
 
 
-@njit(cache=True)
+@inlined
 def solve_lower(factor, b, m):
     """Solve L x = b in place for a lower-triangular L ``(>=m, >=m)`` and b ``(>=m,)``."""
     for i in range(m):
@@ -190,7 +190,7 @@ def solve_lower(factor, b, m):
         b[i] = total / factor[i, i]
 
 
-@njit(cache=True)
+@inlined
 def joint_update(mean, cov, cross, s, innovation, m, factor):
     """Update a filter with m measurements at once: K = Pxz S^-1, x += K y, P -= K S K'.
 
@@ -232,7 +232,7 @@ def joint_update(mean, cov, cross, s, innovation, m, factor):
     return nis
 
 
-@njit(cache=True)
+@inlined
 def triangular_factor(a, n, columns, factor):
     """Lower-triangular S with S S' = A A', by modified Gram-Schmidt on the rows of A.
 

@@ -51,6 +51,7 @@ from crosscomb.filters.random_walk_ekf import (
     YAW_MOMENT,
     friction_use,
 )
+from crosscomb.models.compiled import inlined
 from crosscomb.models.kinematic import slip_of_rolling_rear
 from crosscomb.models.planar import (
     COS,
@@ -110,7 +111,7 @@ class DoubleWalkState(NamedTuple):
     vectors: np.ndarray  # (3, 7) measurement row and scratch
 
 
-@njit(cache=True)
+@inlined
 def double_walk_forces(mean, contact):
     """Sum of the forces along and across the car [N] and their moment [N m]."""
     x, y, moment = contact.known[0], contact.known[1], contact.known[2]
@@ -122,7 +123,7 @@ def double_walk_forces(mean, contact):
     return x, y, moment
 
 
-@njit(cache=True)
+@inlined
 def double_walk_start(state, sample, beta, beta_std, car, noise):
     """Start from the rolling answer without lateral forces."""
     mean, cov = state.mean, state.cov
@@ -135,7 +136,7 @@ def double_walk_start(state, sample, beta, beta_std, car, noise):
     share_axle_noise(cov, state.contact.wheels, car.planar.mass**2)
 
 
-@njit(cache=True)
+@inlined
 def share_axle_noise(cov, wheels, variance):
     """Add noise of this variance [N^2] to the force of each axle, shared by its wheels like their grip."""
     for left in (0, 2):
@@ -147,7 +148,7 @@ def share_axle_noise(cov, wheels, variance):
         cov[j, i] = cov[i, j]
 
 
-@njit(cache=True)
+@inlined
 def double_walk_predict(state, car, noise, dt):
     """Predict u, v and r over dt in one Euler step: without tyres nothing is stiff."""
     mean, cov, rows, wheels = state.mean, state.cov, state.rows, state.contact.wheels
@@ -172,7 +173,7 @@ def double_walk_predict(state, car, noise, dt):
     double_walk_bounds(mean, car)
 
 
-@njit(cache=True)
+@inlined
 def double_walk_bounds(mean, car):
     """Hold the states in what a car can do."""
     most = MAX_FORCE * car.planar.mass * GRAVITY
@@ -183,14 +184,14 @@ def double_walk_bounds(mean, car):
         mean[i] = min(max(mean[i], -most), most)
 
 
-@njit(cache=True)
+@inlined
 def double_walk_measure(state, innovation, variance):
     """Update with a measurement whose row is in `state.vectors`; give the NIS."""
     vectors = state.vectors
     return consider_update(state.mean, state.cov, vectors[0], innovation, variance, 7, vectors[1], vectors[2])
 
 
-@njit(cache=True)
+@inlined
 def double_walk_update(state, sample, car, noise, dt):
     """Update with the measurements that are there, then with the soft ties; give the NIS of the former."""
     mean, row, wheels = state.mean, state.vectors[0], state.contact.wheels
@@ -222,7 +223,7 @@ def double_walk_update(state, sample, car, noise, dt):
     return nis
 
 
-@njit(cache=True)
+@inlined
 def tie_velocity(state, sample, car, noise, dt):
     """Update v / u with its pseudo-measurement; its error lasts, so it counts once per second."""
     mean, row, track = state.mean, state.vectors[0], car.track
@@ -243,7 +244,7 @@ def tie_velocity(state, sample, car, noise, dt):
     double_walk_measure(state, sample[STEER_REAR] - slip + (track.b * r - v) / u, doubt**2 / dt)
 
 
-@njit(cache=True)
+@inlined
 def double_walk_step(state, sample, car, noise, dt, out):
     """One sample; `out` ``(6,)`` gets beta, its standard deviation, the NIS and the further outputs."""
     mean, cov = state.mean, state.cov

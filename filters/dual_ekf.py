@@ -8,8 +8,9 @@ the same innovations through their total derivative by the parameters, which car
     C_k  = H S_k- + dh/dp         derivative of the predicted measurement
     S_k  = S_k- - K C_k           derivative of the updated state, the gain taken as constant
 
-Cheaper than states and parameters in one filter, but it knows no correlation between the two. Adaptation is
-gated and bounded by `crosscomb.filters.adaptation`.
+Cheaper than states and parameters in one filter, but it knows no correlation between the two. The doubt about
+the tyres reaches beta through S: beta_std is that of P + S Pt S', P and Pt being the covariances of motion and
+tyres; the NIS is the motion filter's own. Adaptation is gated and bounded by `crosscomb.filters.adaptation`.
 """
 
 from __future__ import annotations
@@ -45,6 +46,7 @@ from crosscomb.filters.base import (
 )  # fmt: skip
 from crosscomb.filters.leading import consider_update
 from crosscomb.filters.tyre_adaptive_ekf import RATTE
+from crosscomb.models.compiled import inlined
 from crosscomb.models.parameter_track import (
     BETA_RATE,
     BY_BETA,
@@ -91,7 +93,7 @@ class DualState(NamedTuple):
     vectors: np.ndarray  # (3, 4) measurement row of the tyres and scratch
 
 
-@njit(cache=True)
+@inlined
 def dual_rates(state, sample, car):
     """Rates and ay at the estimate; fills `state.slopes`."""
     ax = sample[AX] if math.isfinite(sample[AX]) else 0.0
@@ -102,7 +104,7 @@ def dual_rates(state, sample, car):
     )  # fmt: skip
 
 
-@njit(cache=True)
+@inlined
 def dual_predict(state, sample, car, noise, dt):
     """Predict the motion and its sensitivity over dt by Euler steps."""
     mean, slopes, sensitivity = state.mean, state.slopes, state.sensitivity
@@ -129,7 +131,7 @@ def dual_predict(state, sample, car, noise, dt):
             sensitivity[1, i] = f10 * yaw + f11 * beta + h * slopes[BETA_RATE, BY_PARAMETER + i]
 
 
-@njit(cache=True)
+@inlined
 def dual_measure(state, h0, h1, direct, innovation, variance, moved, adapting):
     """Update both filters with one measurement.
 
@@ -169,7 +171,7 @@ def dual_measure(state, h0, h1, direct, innovation, variance, moved, adapting):
     return nis
 
 
-@njit(cache=True)
+@inlined
 def dual_update(state, sample, car, noise, adapting):
     """Update with the yaw rate and ay that are there; give the NIS, NaN without any."""
     mean, slopes, limits = state.mean, state.slopes, state.limits
@@ -198,7 +200,17 @@ def dual_update(state, sample, car, noise, adapting):
     return nis
 
 
-@njit(cache=True)
+@inlined
+def doubt_of_tyres(by_tyres, tyre_cov):
+    """Variance that the doubt about the tyres adds to a state with these derivatives ``(4,)`` by them."""
+    variance = 0.0
+    for i in range(PARAMETERS):
+        for j in range(PARAMETERS):
+            variance += by_tyres[i] * tyre_cov[i, j] * by_tyres[j]
+    return variance
+
+
+@inlined
 def dual_step(state, sample, car, noise, dt, out):
     """One sample; `out` ``(7,)`` gets beta, its standard deviation, the NIS and the four tyre parameters."""
     mean, cov, limits = state.mean, state.cov, state.limits
@@ -217,7 +229,7 @@ def dual_step(state, sample, car, noise, dt, out):
         dual_predict(state, sample, car, noise, dt)
         out[NIS] = dual_update(state, sample, car, noise, adapting)
         out[BETA] = mean[1]
-        out[BETA_STD] = math.sqrt(cov[1, 1])
+        out[BETA_STD] = math.sqrt(cov[1, 1] + doubt_of_tyres(state.sensitivity[1], state.tyre_cov))
     for i in range(PARAMETERS):
         out[3 + i] = state.tyres[i]
 

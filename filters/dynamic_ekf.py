@@ -33,6 +33,7 @@ from crosscomb.filters.base import (
     propagate,
     scalar_update,
 )  # fmt: skip
+from crosscomb.models.compiled import inlined
 from crosscomb.models.single_track import single_track_rates, stable_substeps
 
 
@@ -46,7 +47,7 @@ class DynamicNoise(NamedTuple):
     missing_steer: float = 0.06  # error of a held steering angle, lasting about a second [rad]
 
 
-@njit(cache=True)
+@inlined
 def dynamic_predict(state, sample, car, noise, dt):
     """Predict [yaw_rate, beta] over dt by Euler steps, as many as keep the stiff low-speed modes stable."""
     mean = state.mean
@@ -74,7 +75,7 @@ def dynamic_predict(state, sample, car, noise, dt):
         )  # fmt: skip
 
 
-@njit(cache=True)
+@inlined
 def dynamic_update(state, sample, car, noise):
     """Update with the yaw rate and ay that are there; give the NIS, NaN without any.
 
@@ -110,7 +111,7 @@ def dynamic_update(state, sample, car, noise):
     return nis
 
 
-@njit(cache=True)
+@inlined
 def dynamic_step(state, sample, car, noise, dt, out):
     """One sample of the dynamic filter; `out` ``(3,)`` gets beta, its standard deviation and the NIS."""
     mean, cov = state.mean, state.cov

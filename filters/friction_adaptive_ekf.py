@@ -37,6 +37,7 @@ from crosscomb.filters.base import (
     low_speed_answer,
 )  # fmt: skip
 from crosscomb.filters.leading import consider_update, propagate_leading
+from crosscomb.models.compiled import inlined
 from crosscomb.models.parameter_track import (
     BETA_RATE,
     BY_BETA,
@@ -82,7 +83,7 @@ class FrictionState(NamedTuple):
     vectors: np.ndarray  # (3, 3) measurement row and scratch
 
 
-@njit(cache=True)
+@inlined
 def friction_rates(state, sample, car):
     """Rates and ay at the estimate; fills `state.slopes`."""
     ax = sample[AX] if math.isfinite(sample[AX]) else 0.0
@@ -93,7 +94,7 @@ def friction_rates(state, sample, car):
     )  # fmt: skip
 
 
-@njit(cache=True)
+@inlined
 def friction_predict(state, sample, car, noise, dt, adapting):
     """Predict over dt by Euler steps."""
     mean, cov, slopes, rows = state.mean, state.cov, state.slopes, state.rows
@@ -122,7 +123,7 @@ def friction_predict(state, sample, car, noise, dt, adapting):
         cov[2, 2] += growth(cov[2, 2], noise.friction_walk, noise.friction_spread, dt)
 
 
-@njit(cache=True)
+@inlined
 def friction_update(state, sample, car, noise, free):
     """Update the first `free` states with yaw rate and ay, as far as they are there; give the NIS."""
     mean, cov, slopes = state.mean, state.cov, state.slopes
@@ -147,7 +148,7 @@ def friction_update(state, sample, car, noise, free):
     return nis
 
 
-@njit(cache=True)
+@inlined
 def friction_bounds(state, sample, car, adapting):
     """Keep the friction in its bounds; gyro and accelerometer must agree before the least friction rises."""
     used = min(abs(sample[AY]), abs(sample[YAW_RATE]) * sample[VX]) / GRAVITY if adapting else 0.0
@@ -155,7 +156,7 @@ def friction_bounds(state, sample, car, adapting):
     state.mean[2] = min(max(state.mean[2], used, LEAST_FRICTION), most)
 
 
-@njit(cache=True)
+@inlined
 def friction_step(state, sample, car, noise, dt, out):
     """One sample; `out` ``(4,)`` gets beta, its standard deviation, the NIS and the friction."""
     mean, cov = state.mean, state.cov

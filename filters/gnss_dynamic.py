@@ -39,6 +39,7 @@ from crosscomb.filters.base import (
 )  # fmt: skip
 from crosscomb.filters.dense import joseph_update, propagate_cov
 from crosscomb.filters.gnss_kinematic import wrap
+from crosscomb.models.compiled import inlined
 from crosscomb.models.single_track import single_track_rates, stable_substeps
 
 
@@ -68,7 +69,7 @@ class GnssDynamic(NamedTuple):
     work: np.ndarray  # (3, 3) scratch
 
 
-@njit(cache=True)
+@inlined
 def model_at(mean, sample, car):
     """Single-track model at a state and sample, as `single_track_rates` gives it."""
     ax = sample[AX] if math.isfinite(sample[AX]) else 0.0
@@ -78,7 +79,7 @@ def model_at(mean, sample, car):
     )
 
 
-@njit(cache=True)
+@inlined
 def disturbed_predict(state, sample, car, noise, dt):
     """Predict [yaw_rate, beta, disturbance] by Euler steps, as many as keep the stiff modes stable."""
     mean, f, q = state.mean, state.transition, state.added
@@ -102,7 +103,7 @@ def disturbed_predict(state, sample, car, noise, dt):
         propagate_cov(state.cov, f, q, state.work)
 
 
-@njit(cache=True)
+@inlined
 def disturbed_update(state, sample, car, noise):
     """Update with the yaw rate, ay and fix that are there; give the NIS, NaN without any.
 
@@ -135,7 +136,7 @@ def disturbed_update(state, sample, car, noise):
     return nis if count > 0 else math.nan
 
 
-@njit(cache=True)
+@inlined
 def gnss_dynamic_step(state, sample, car, noise, dt, out):
     """One sample of the dynamic observer; `out` ``(3,)`` gets beta, its standard deviation and the NIS."""
     mean, cov = state.mean, state.cov

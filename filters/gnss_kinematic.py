@@ -37,6 +37,7 @@ from crosscomb.filters.base import (
 from crosscomb.filters.dense import joseph_update, propagate_cov
 from crosscomb.filters.kinematic_kf import velocity_answer
 from crosscomb.filters.kinematic_variants import limit_slip
+from crosscomb.models.compiled import inlined
 from crosscomb.models.kinematic import input_gain, rotation
 
 PSI, BIAS_YAW, BIAS_AX, BIAS_AY, SCALE = range(2, 7)
@@ -78,13 +79,13 @@ class GnssKinematic(NamedTuple):
     work: np.ndarray  # (7, 7) scratch
 
 
-@njit(cache=True)
+@inlined
 def wrap(angle):
     """Bring an angle into -pi to pi [rad]."""
     return angle - 2.0 * math.pi * math.floor(angle / (2.0 * math.pi) + 0.5)
 
 
-@njit(cache=True)
+@inlined
 def gnss_predict(state, sample, noise, dt):
     """Predict the seven states over dt; a missing inertial channel keeps the motion and widens it."""
     mean, cov, f, q = state.mean, state.cov, state.transition, state.added
@@ -124,7 +125,7 @@ def gnss_predict(state, sample, noise, dt):
     state.age[0] += dt
 
 
-@njit(cache=True)
+@inlined
 def forget_heading(cov):
     """Make the heading unknown."""
     cov[PSI, :] = 0.0
@@ -132,7 +133,7 @@ def forget_heading(cov):
     cov[PSI, PSI] = UNKNOWN_HEADING
 
 
-@njit(cache=True)
+@inlined
 def gnss_update(state, sample, noise):
     """Update with the speed, fix and heading that are there; give the NIS, NaN without any."""
     mean, cov, row, work = state.mean, state.cov, state.row, state.work
@@ -165,7 +166,7 @@ def gnss_update(state, sample, noise):
     return nis if count > 0 else math.nan
 
 
-@njit(cache=True)
+@inlined
 def gnss_start(state, sample, car, noise, out):
     """Answer where the car is slow and start on the first sample above the gate; True where it did either.
 
@@ -194,7 +195,7 @@ def gnss_start(state, sample, car, noise, out):
     return True
 
 
-@njit(cache=True)
+@inlined
 def limit_errors(mean, noise):
     """Hold the sensor errors inside six times their size."""
     sizes = (noise.gyro_bias, noise.accel_bias, noise.accel_bias, noise.scale)
@@ -203,7 +204,7 @@ def limit_errors(mean, noise):
         mean[BIAS_YAW + i] = min(max(mean[BIAS_YAW + i], -most), most)
 
 
-@njit(cache=True)
+@inlined
 def gnss_kinematic_step(state, sample, car, noise, dt, out):
     """One sample of the kinematic filter; `out` ``(3,)`` gets beta, its standard deviation and the NIS."""
     if gnss_start(state, sample, car, noise, out):

@@ -29,6 +29,7 @@ from crosscomb.filters.base import (
     propagate,
     scalar_update,
 )  # fmt: skip
+from crosscomb.models.compiled import inlined
 from crosscomb.models.kinematic import input_gain, rotation
 from crosscomb.signals import MIN_SPEED
 
@@ -67,7 +68,7 @@ def forgetting(yaw_rate, noise, dt):
     return math.exp(-dt * (rate if math.isfinite(yaw_rate) else min(noise.relaxation, BLIND_RELAXATION)))
 
 
-@njit(cache=True)
+@inlined
 def kinematic_predict(state, ax, ay, yaw_rate, noise, dt):
     """Predict [vx, vy] over dt with held accelerations; a missing one keeps the velocity and widens it."""
     mean, cov = state.mean, state.cov
@@ -83,7 +84,7 @@ def kinematic_predict(state, ax, ay, yaw_rate, noise, dt):
     propagate(cov, f00, f01 * decay, f10, f11 * decay, variance, 0.0, variance)
 
 
-@njit(cache=True)
+@inlined
 def kinematic_start(state, sample, car, noise, out):
     """Answer where the car is slow and start on the first sample above the gate; True where it did either."""
     mean, cov = state.mean, state.cov
@@ -102,7 +103,7 @@ def kinematic_start(state, sample, car, noise, out):
     return True
 
 
-@njit(cache=True)
+@inlined
 def kinematic_update(state, sample, noise):
     """Update with the measured vx; give the NIS, NaN where vx is only held."""
     mean = state.mean
@@ -112,7 +113,7 @@ def kinematic_update(state, sample, noise):
     return math.nan
 
 
-@njit(cache=True)
+@inlined
 def velocity_answer(state, out):
     """Write beta of the state [vx, vy] and its standard deviation."""
     mean, cov = state.mean, state.cov
@@ -123,7 +124,7 @@ def velocity_answer(state, out):
     out[BETA_STD] = math.sqrt(spread) / speed2
 
 
-@njit(cache=True)
+@inlined
 def kinematic_step(state, sample, car, noise, dt, out):
     """One sample of the kinematic filter; `out` ``(3,)`` gets beta, its standard deviation and the NIS."""
     if kinematic_start(state, sample, car, noise, out):

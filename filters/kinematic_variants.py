@@ -44,6 +44,7 @@ from crosscomb.filters.kinematic_kf import (
     straight_share,
     velocity_answer,
 )
+from crosscomb.models.compiled import inlined
 from crosscomb.models.kinematic import input_gain
 from crosscomb.models.single_track import single_track_rates, stable_substeps
 from crosscomb.signals import MIN_SPEED
@@ -70,7 +71,7 @@ class BlendNoise(NamedTuple):
     turning: float = 0.1  # yaw rate from which on the car turns [rad/s]
 
 
-@njit(cache=True)
+@inlined
 def steady_slip(sample, car):
     """Sideslip angle of the linear single track in a steady state [rad], from yaw rate and ay as measured.
 
@@ -80,7 +81,7 @@ def steady_slip(sample, car):
     return sample[STEER_REAR] + car.b * sample[YAW_RATE] / sample[VX] - rear_slip
 
 
-@njit(cache=True)
+@inlined
 def limit_slip(mean):
     """Hold the state [vx, vy] where beta stays inside `MAX_BETA`."""
     mean[0] = max(mean[0], 0.5 * MIN_SPEED)
@@ -88,7 +89,7 @@ def limit_slip(mean):
     mean[1] = min(max(mean[1], -most), most)
 
 
-@njit(cache=True)
+@inlined
 def zero_yaw_step(state, sample, car, noise, dt, out):
     """One sample of the measuring filter; `out` ``(3,)`` gets beta, its standard deviation and the NIS."""
     if kinematic_start(state, sample, car, noise, out):
@@ -114,7 +115,7 @@ def zero_yaw_run(state, samples, car, noise, dt, out):
         zero_yaw_step(state, samples[k], car, noise, dt, out[k])
 
 
-@njit(cache=True)
+@inlined
 def blend_predict(state, sample, share, car, noise, dt):
     """Predict [vx, vy] over dt, in the given share with the lateral acceleration that the tyres give."""
     mean = state.mean
@@ -139,7 +140,7 @@ def blend_predict(state, sample, share, car, noise, dt):
         limit_slip(mean)
 
 
-@njit(cache=True)
+@inlined
 def blend_step(state, sample, car, noise, dt, out):
     """One sample of the blending filter; `out` ``(3,)`` gets beta, its standard deviation and the NIS."""
     if kinematic_start(state, sample, car, noise, out):

@@ -6,10 +6,10 @@ the dense product; and the constants may be left alone by an update while they c
 
 from __future__ import annotations
 
-from numba import njit
+from crosscomb.models.compiled import inlined
 
 
-@njit(cache=True)
+@inlined
 def propagate_leading(cov, rows, work):
     """Propagate a covariance in place: F P F' with F = [rows; 0 I].
 
@@ -40,7 +40,7 @@ def propagate_leading(cov, rows, work):
             cov[i, j] = cov[j, i] = work[i, j]
 
 
-@njit(cache=True)
+@inlined
 def consider_update(mean, cov, row, innovation, variance, free, gain, crossed):
     """Update with one scalar measurement that may change the first `free` states only, in Joseph form.
 

@@ -18,7 +18,6 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from crosscomb.filters.base import (
     AX,
@@ -36,6 +35,7 @@ from crosscomb.filters.base import (
     scalar_update,
 )  # fmt: skip
 from crosscomb.filters.dynamic_ekf import DynamicNoise, dynamic_predict, dynamic_update
+from crosscomb.models.compiled import inlined
 from crosscomb.models.single_track import SingleTrack, body_rates, slip_rate_slope
 
 MODELS = 3
@@ -79,7 +79,7 @@ class Bank(NamedTuple):
     running: np.ndarray  # (1,)
 
 
-@njit(cache=True)
+@inlined
 def slip_predict(state, sample, noise, dt):
     """Predict [yaw_rate, beta] by the kinematic model; a missing channel keeps beta and widens it."""
     mean, vx = state.mean, sample[VX]
@@ -102,13 +102,13 @@ def slip_predict(state, sample, noise, dt):
     )  # fmt: skip
 
 
-@njit(cache=True)
+@inlined
 def normal_log_density(nis, variance):
     """Log density of an innovation with its NIS and variance."""
     return -0.5 * (nis + math.log(variance) + LOG_2_PI)
 
 
-@njit(cache=True)
+@inlined
 def slip_update(state, sample, noise):
     """Update the kinematic model with the yaw rate; give the NIS and the log likelihood of both channels."""
     nis, log_likelihood = math.nan, 0.0
@@ -122,7 +122,7 @@ def slip_update(state, sample, noise):
     return nis, log_likelihood
 
 
-@njit(cache=True)
+@inlined
 def tyre_update(state, sample, car, noise):
     """Update a single-track model; give the NIS and the log likelihood of yaw rate and ay.
 
@@ -144,7 +144,7 @@ def tyre_update(state, sample, car, noise):
     return nis, -0.5 * (nis + noises + math.log(prior / posterior) + n * LOG_2_PI)
 
 
-@njit(cache=True)
+@inlined
 def step_models(bank, sample, cars, noise, dt):
     """Predict and update every filter of the bank."""
     dynamic_predict(bank.high, sample, cars.high, noise.dynamic, dt)
@@ -155,7 +155,7 @@ def step_models(bank, sample, cars, noise, dt):
     bank.nis[2], bank.log_likelihood[2] = slip_update(bank.kinematic, sample, noise)
 
 
-@njit(cache=True)
+@inlined
 def combine(bank, weights, mean, cov):
     """Mean (2,) and covariance (2, 2) of the mixture of the three states."""
     members = (bank.high, bank.low, bank.kinematic)
@@ -172,14 +172,14 @@ def combine(bank, weights, mean, cov):
     cov[1, 0] = cov[0, 1]
 
 
-@njit(cache=True)
+@inlined
 def model_shares(noise):
     """Probabilities of the three models before anything is measured; they sum to one."""
     low, kinematic = min(noise.low_share, 0.5), min(noise.kinematic_share, 0.5)
     return 1.0 - low - kinematic, low, kinematic
 
 
-@njit(cache=True)
+@inlined
 def bank_start(bank, sample, cars, noise, out):
     """Answer where the car is slow and start on the first sample above the gate; True where it did either."""
     slow = below_gate(sample)

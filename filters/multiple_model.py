@@ -7,7 +7,7 @@ lasts, so samples are no independent evidence: log likelihoods count with dt / (
   car went over from one model to another; it leaves a model after `stay` seconds on average, for any model
   by its share.
 - `MMAE` (Magill 1965): each filter runs for itself; no probability falls below `floor`, so that a model can
-  come back.
+  come back. The floor gives the wrong models a say: where one is right all along, the doubt is overstated.
 
 Both answer with the probability-weighted mean and covariance, the NIS being the weighted mean of the
 filters'.
@@ -40,10 +40,11 @@ from crosscomb.filters.model_bank import (
     model_shares,
     step_models,
 )  # fmt: skip
+from crosscomb.models.compiled import inlined
 from crosscomb.models.single_track import single_track
 
 
-@njit(cache=True)
+@inlined
 def weigh(bank, prior, noise, dt):
     """Bayes: the probabilities after the update from those before it."""
     share = dt / (dt + noise.correlation)
@@ -61,7 +62,7 @@ def weigh(bank, prior, noise, dt):
         bank.probability[i] /= total
 
 
-@njit(cache=True)
+@inlined
 def interact(bank, noise, dt, prior):
     """Mix the states as the models may have changed (IMM); `prior` (3,) gets the predicted probabilities."""
     members = (bank.high, bank.low, bank.kinematic)
@@ -81,7 +82,7 @@ def interact(bank, noise, dt, prior):
         members[j].cov[:, :] = bank.mixed_cov[j]
 
 
-@njit(cache=True)
+@inlined
 def bank_answer(bank, out):
     """Write the mixture's beta, its standard deviation, the mean NIS and the probabilities."""
     mean, cov = bank.mixed_mean[0], bank.mixed_cov[0]
@@ -96,7 +97,7 @@ def bank_answer(bank, out):
     out[3:] = bank.probability
 
 
-@njit(cache=True)
+@inlined
 def imm_step(bank, sample, cars, noise, dt, out):
     """One sample of the IMM; `out` ``(6,)``: beta, its standard deviation, the NIS, the probabilities."""
     if bank_start(bank, sample, cars, noise, out):
@@ -108,7 +109,7 @@ def imm_step(bank, sample, cars, noise, dt, out):
     bank_answer(bank, out)
 
 
-@njit(cache=True)
+@inlined
 def mmae_step(bank, sample, cars, noise, dt, out):
     """One sample of the MMAE; `out` ``(6,)``: beta, its standard deviation, the NIS, the probabilities."""
     if bank_start(bank, sample, cars, noise, out):

@@ -49,6 +49,7 @@ from crosscomb.filters.base import (
     below_gate,
     low_speed_answer,
 )  # fmt: skip
+from crosscomb.models.compiled import inlined
 from crosscomb.models.linear_single_track import linear_single_track_rates
 from crosscomb.models.single_track import single_track_rates, stable_substeps
 
@@ -91,7 +92,7 @@ class Observer(NamedTuple):
     running: np.ndarray  # (1,) 1 above the low-speed gate, 0 below
 
 
-@njit(cache=True)
+@inlined
 def gains(a11, a21, c21, beta, vx, car, settings):
     """Gains l11, l21, l22 [1/s, 1/s, rad s/m] that place the poles; l12 is 0."""
     damping = car.a * car.a * car.stiffness_front + car.b * car.b * car.stiffness_rear
@@ -100,20 +101,20 @@ def gains(a11, a21, c21, beta, vx, car, settings):
     return a11 + settings.yaw_pole * damping / (car.yaw_inertia * vx), a21 - l22 * c21, l22
 
 
-@njit(cache=True)
+@inlined
 def saturate(value, layer):
     """Boundary layer of the sliding mode: linear inside, constant outside."""
     return min(max(value, -layer), layer)
 
 
-@njit(cache=True)
+@inlined
 def move(mean, yaw_rate, beta):
     """Change the state by so much and hold it inside meaningful ranges."""
     mean[0] = min(max(mean[0] + yaw_rate, -MAX_YAW_RATE), MAX_YAW_RATE)
     mean[1] = min(max(mean[1] + beta, -MAX_BETA), MAX_BETA)
 
 
-@njit(cache=True)
+@inlined
 def observer_start(state, sample, car, out):
     """Answer where the car is slow and start on the first sample above the gate; True where it did either."""
     slow = below_gate(sample)
@@ -127,7 +128,7 @@ def observer_start(state, sample, car, out):
     return True
 
 
-@njit(cache=True)
+@inlined
 def observer_answer(state, sample, ay, car, settings, dt, out):
     """Write beta and the stated measure of its error (see the head of this file)."""
     stiffness = car.stiffness_front + car.stiffness_rear
@@ -143,7 +144,7 @@ def observer_answer(state, sample, ay, car, settings, dt, out):
     out[NIS] = math.nan
 
 
-@njit(cache=True)
+@inlined
 def correct(state, sample, ay, a11, a21, c21, c22, car, settings, layers, dt):
     """Correct the predicted state with the innovations, held inside their layers, over the whole sample.
 
@@ -163,7 +164,7 @@ def correct(state, sample, ay, a11, a21, c21, c22, car, settings, layers, dt):
     move(mean, -math.expm1(-l11 * dt) * error_yaw, correction)
 
 
-@njit(cache=True)
+@inlined
 def luenberger_step(state, sample, car, settings, dt, out):
     """One sample of the linear observer; `out` ``(3,)`` gets beta, its stated error and NaN."""
     if observer_start(state, sample, car, out):
@@ -181,7 +182,7 @@ def luenberger_step(state, sample, car, settings, dt, out):
     observer_answer(state, sample, ay, car, settings, dt, out)
 
 
-@njit(cache=True)
+@inlined
 def nonlinear_step(state, sample, car, settings, layers, dt, out):
     """One sample of an observer on the nonlinear single track; boundary layers (2,) of its innovations."""
     if observer_start(state, sample, car, out):
@@ -202,13 +203,13 @@ def nonlinear_step(state, sample, car, settings, layers, dt, out):
     observer_answer(state, sample, ay, car, settings, dt, out)
 
 
-@njit(cache=True)
+@inlined
 def extended_step(state, sample, car, settings, dt, out):
     """One sample of the extended observer; `out` ``(3,)`` gets beta, its stated error and NaN."""
     nonlinear_step(state, sample, car, settings, NO_LAYERS, dt, out)
 
 
-@njit(cache=True)
+@inlined
 def sliding_step(state, sample, car, settings, dt, out):
     """One sample of the sliding-mode observer; `out` ``(3,)`` gets beta, its stated error and NaN."""
     nonlinear_step(state, sample, car, settings, (settings.yaw_layer, settings.ay_layer), dt, out)

@@ -16,8 +16,6 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import ClassVar, NamedTuple
 
-from numba import njit
-
 from crosscomb.filters.base import (
     AX,
     AY,
@@ -37,6 +35,7 @@ from crosscomb.filters.base import (
     below_gate,
     low_speed_answer,
 )  # fmt: skip
+from crosscomb.models.compiled import inlined
 from crosscomb.models.planar import TRACKS, PlanarCar, planar_car, planar_rates, set_contacts
 from crosscomb.models.single_track import stable_substeps
 from crosscomb.signals import MIN_SPEED
@@ -82,7 +81,7 @@ class PlanarFilter(KernelFilter):
         return planar_car(self.vehicle, self.track)
 
 
-@njit(cache=True)
+@inlined
 def known_accelerations(sample):
     """Measured ax and ay [m/s^2], 0 where missing."""
     ax = sample[AX] if math.isfinite(sample[AX]) else 0.0
@@ -90,14 +89,14 @@ def known_accelerations(sample):
     return ax, ay
 
 
-@njit(cache=True)
+@inlined
 def set_sample(contact, sample, car):
     """Set the contacts (`crosscomb.models.planar.Contacts`) from a sample."""
     ax, ay = known_accelerations(sample)
     set_contacts(contact, sample[STEER], sample[STEER_REAR], sample[FXF], sample[FXR], ax, ay, car)
 
 
-@njit(cache=True)
+@inlined
 def clip_state(mean):
     """Hold [u, v, r] where the model has a meaning."""
     mean[0] = min(max(mean[0], MIN_SPEED), MAX_U)
@@ -106,13 +105,13 @@ def clip_state(mean):
     mean[2] = min(max(mean[2], -MAX_R), MAX_R)
 
 
-@njit(cache=True)
+@inlined
 def substeps(mean, dt, car):
     """Number of Euler steps that keep the stiff low-speed modes stable over dt."""
     return stable_substeps(max(mean[0], MIN_SPEED), dt, car)
 
 
-@njit(cache=True)
+@inlined
 def planar_move(mean, contact, steps, dt, car):
     """Move one state ``(3,)`` over dt in place, by Euler steps."""
     h = dt / steps
@@ -124,7 +123,7 @@ def planar_move(mean, contact, steps, dt, car):
         clip_state(mean)
 
 
-@njit(cache=True)
+@inlined
 def expect(state, ax, ay, contact, z):
     """Write what a state ``(3,)`` with accelerations ax and ay would measure into z ``(6,)``."""
     rows = contact.speed_rows
@@ -133,7 +132,7 @@ def expect(state, ax, ay, contact, z):
     z[Z_YAW_RATE], z[Z_AX], z[Z_AY], z[Z_U] = state[2], ax, ay, state[0]
 
 
-@njit(cache=True)
+@inlined
 def read_measurements(sample, car, noise, z, variance):
     """Write the sample's measurements into z ``(6,)``, NaN for a missing one, and their noise variances."""
     z[Z_LEFT], z[Z_RIGHT] = sample[VFL], sample[VFL + 1]
@@ -148,7 +147,7 @@ def read_measurements(sample, car, noise, z, variance):
     variance[Z_U] = noise.speed**2
 
 
-@njit(cache=True)
+@inlined
 def set_process_noise(q, sample, car, noise, dt):
     """Write the process noise of dt into q ``(3, 3)``.
 
@@ -164,7 +163,7 @@ def set_process_noise(q, sample, car, noise, dt):
     q[1, 2] = q[2, 1] = wrong_v * wrong_r * dt
 
 
-@njit(cache=True)
+@inlined
 def begin(mean, cov, running, sample, car, noise, out):
     """Answer below the gate, and start the filter at the first sample above it; tell whether that was all."""
     if below_gate(sample):
@@ -179,7 +178,7 @@ def begin(mean, cov, running, sample, car, noise, out):
     return False
 
 
-@njit(cache=True)
+@inlined
 def start(mean, cov, sample, beta, beta_std, noise):
     """Set mean and covariance from one sample and a sideslip angle [rad] with its standard deviation."""
     mean[0], mean[1] = sample[VX], sample[VX] * math.tan(beta)
@@ -188,7 +187,7 @@ def start(mean, cov, sample, beta, beta_std, noise):
     cov[0, 0], cov[1, 1], cov[2, 2] = noise.speed**2, (sample[VX] * beta_std) ** 2, noise.yaw_rate**2
 
 
-@njit(cache=True)
+@inlined
 def answer(mean, cov, out):
     """Write the sideslip angle of a state and its standard deviation."""
     u, v = mean[0], mean[1]

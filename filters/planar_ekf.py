@@ -40,6 +40,7 @@ from crosscomb.filters.planar import (
     set_sample,
     substeps,
 )  # fmt: skip
+from crosscomb.models.compiled import inlined
 from crosscomb.models.planar import Contacts, contacts, planar_jacobian
 
 
@@ -65,7 +66,7 @@ def ekf_state(iterations: int = 1) -> PlanarEKFState:
     return PlanarEKFState(np.zeros(3), np.eye(3), running, count, contacts(), *scratch)
 
 
-@njit(cache=True)
+@inlined
 def ekf_predict(mean, cov, contact, jacobian, q, sample, car, noise, dt):
     """Predict mean and covariance over dt by Euler steps, to first order; arrays as in `PlanarEKFState`."""
     steps = substeps(mean, dt, car)
@@ -80,7 +81,7 @@ def ekf_predict(mean, cov, contact, jacobian, q, sample, car, noise, dt):
         clip_state(mean)
 
 
-@njit(cache=True)
+@inlined
 def update_linear(mean, cov, rows, z):
     """Update with the measurements that are linear in the state: wheel speeds, or u, and the yaw rate.
 
@@ -113,7 +114,7 @@ def update_linear(mean, cov, rows, z):
     return nis, measured
 
 
-@njit(cache=True)
+@inlined
 def linear_update(mean, cov, point, contact, jacobian, z, car):
     """Update with all measurements, linearised at a point; arrays as in `PlanarEKFState`; give the NIS."""
     nis, measured = update_linear(mean, cov, contact.speed_rows, z)
@@ -128,7 +129,7 @@ def linear_update(mean, cov, point, contact, jacobian, z, car):
     return nis if measured > 0 else math.nan
 
 
-@njit(cache=True)
+@inlined
 def ekf_update(state, sample, car, noise):
     """Update with what is measured, as often as `state.iterations`; give the NIS of the last iteration."""
     mean, cov, prior, point, z = state.mean, state.cov, state.prior, state.point, state.z
@@ -149,7 +150,7 @@ def ekf_update(state, sample, car, noise):
     return nis
 
 
-@njit(cache=True)
+@inlined
 def planar_ekf_step(state, sample, car, noise, dt, out):
     """One sample of the first-order and iterated filter; `out` gets beta, its std and the NIS."""
     if begin(state.mean, state.cov, state.running, sample, car, noise, out):

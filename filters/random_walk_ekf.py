@@ -38,8 +38,9 @@ from crosscomb.filters.base import (
     low_speed_answer,
 )  # fmt: skip
 from crosscomb.filters.leading import consider_update, propagate_leading
+from crosscomb.models.compiled import inlined
 from crosscomb.models.kinematic import slip_of_rolling_rear
-from crosscomb.models.random_walk import random_walk_jacobian, random_walk_rates
+from crosscomb.models.random_walk import random_walk_jacobian
 from crosscomb.models.single_track import SingleTrack, single_track
 from crosscomb.signals import GRAVITY
 
@@ -90,7 +91,7 @@ class WalkState(NamedTuple):
     vectors: np.ndarray  # (3, 6) measurement row and scratch
 
 
-@njit(cache=True)
+@inlined
 def walk_start(state, sample, beta, beta_std, car, noise):
     """Start from the rolling answer, with the forces that the accelerations ask for."""
     mean, cov, track = state.mean, state.cov, car.track
@@ -108,13 +109,12 @@ def walk_start(state, sample, beta, beta_std, car, noise):
     random_walk_jacobian(mean, 1.0, sample[STEER], sample[STEER_REAR], track, state.jacobian)
 
 
-@njit(cache=True)
+@inlined
 def walk_predict(state, sample, car, noise, dt):
     """Predict yaw rate and beta over dt in one Euler step: without tyres nothing is stiff."""
     mean, cov, jacobian, rows = state.mean, state.cov, state.jacobian, state.rows
     vx, steer, steer_rear = sample[VX], sample[STEER], sample[STEER_REAR]
-    yaw_acceleration, beta_rate, _, _ = random_walk_rates(mean, vx, steer, steer_rear, car.track)
-    random_walk_jacobian(mean, vx, steer, steer_rear, car.track, jacobian)
+    yaw_acceleration, beta_rate, _, _ = random_walk_jacobian(mean, vx, steer, steer_rear, car.track, jacobian)
     for i in range(2):
         for j in range(6):
             rows[i, j] = dt * jacobian[i, j]
@@ -129,7 +129,7 @@ def walk_predict(state, sample, car, noise, dt):
     walk_bounds(mean, car)
 
 
-@njit(cache=True)
+@inlined
 def walk_bounds(mean, car):
     """Hold the states in what a car can do."""
     most = MAX_FORCE * car.track.mass * GRAVITY
@@ -139,7 +139,7 @@ def walk_bounds(mean, car):
         mean[i] = min(max(mean[i], -most), most)
 
 
-@njit(cache=True)
+@inlined
 def walk_measure(state, measured, variance):
     """Update with a measurement that is linear in the state, its row in `state.vectors`; give the NIS."""
     mean, row = state.mean, state.vectors[0]
@@ -149,7 +149,7 @@ def walk_measure(state, measured, variance):
     return consider_update(mean, state.cov, row, innovation, variance, 6, state.vectors[1], state.vectors[2])
 
 
-@njit(cache=True)
+@inlined
 def walk_update(state, sample, car, noise, dt):
     """Update with the measurements that are there, then with the soft ties; give the NIS of the former."""
     row, jacobian, mass = state.vectors[0], state.jacobian, car.track.mass
@@ -172,7 +172,7 @@ def walk_update(state, sample, car, noise, dt):
     return nis
 
 
-@njit(cache=True)
+@inlined
 def tie_slip(state, sample, car, noise, dt):
     """Update beta with its pseudo-measurement; its error lasts, so it counts once per second."""
     mean, row, track = state.mean, state.vectors[0], car.track
@@ -189,13 +189,13 @@ def tie_slip(state, sample, car, noise, dt):
     walk_measure(state, sample[STEER_REAR], doubt**2 / dt)
 
 
-@njit(cache=True)
+@inlined
 def friction_use(yaw_rate, vx, track):
     """Lateral acceleration over its bound, Atheupe 2023, eq. 30; above 1 the friction is not the file's."""
     return abs(yaw_rate) * vx / (track.friction * GRAVITY)
 
 
-@njit(cache=True)
+@inlined
 def walk_step(state, sample, car, noise, dt, out):
     """One sample; `out` ``(6,)`` gets beta, its standard deviation, the NIS and the further outputs."""
     mean, cov, track = state.mean, state.cov, car.track

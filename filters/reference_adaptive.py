@@ -212,7 +212,8 @@ def reference_dual_ekf(estimator: DualEKF, inputs: Inputs) -> Estimate:
             tyres.update(innovation, lambda _: by_tyres, lambda x: by_tyres @ x, R=motion.S)
         hold_beta()
         tyres.x = np.clip(tyres.x, limits.least, limits.most)
-        return motion.x[1], math.sqrt(motion.P[1, 1]), nis
+        doubt = sensitivity[1] @ tyres.P @ sensitivity[1]
+        return motion.x[1], math.sqrt(motion.P[1, 1] + doubt), nis
 
     return walk_samples(inputs, car.track, start, step)
 

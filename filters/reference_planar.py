@@ -2,8 +2,7 @@
 
 First-order, unscented and cubature filters stand on filterpy's classes; it has no iterated or second-order
 filter, these are written in numpy as the textbooks have them. The models are the same functions, so no
-formula stands here twice; with ``plain`` they are not compiled, as users of these libraries write them.
-Only tests and benchmarks use this module.
+formula stands here twice. Only tests and benchmarks use this module.
 """
 
 from __future__ import annotations
@@ -42,26 +41,15 @@ Update = Callable[["_Model", np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarr
 
 
 class _Model:
-    """The planar model at one sample, in numpy's terms; compiled, or as plain Python functions."""
+    """The planar model at one sample, in numpy's terms."""
 
-    def __init__(self, estimator: PlanarFilter, dt: float, plain: bool) -> None:
+    def __init__(self, estimator: PlanarFilter, dt: float) -> None:
         self.car, self.noise, self.dt = estimator.car, estimator.noise, dt
         self.contact = contacts()
-        functions: tuple[Any, ...] = (
-            set_sample,
-            planar_rates,
-            planar_jacobian,
-            planar_hessian,
-            planar_move,
-            expect,
-        )
-        self._set, self._rates, self._jacobian, self._hessian, self._move, self._expect = (
-            function.py_func if plain else function for function in functions
-        )
 
     def set(self, sample: np.ndarray) -> None:
         self.sample = sample
-        self._set(self.contact, sample, self.car)
+        set_sample(self.contact, sample, self.car)
         z, variance = np.empty(6), np.empty(6)
         read_measurements(sample, self.car, self.noise, z, variance)
         self.there = np.isfinite(z)
@@ -78,23 +66,23 @@ class _Model:
 
     def rates(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """u_dot, v_dot, r_dot, ax, ay, and their Jacobian (5, 3)."""
-        jacobian = np.empty((5, 3))
-        return np.array(self._jacobian(*x, self.contact, self.car, jacobian)), jacobian
+        jacobian, (u, v, r) = np.empty((5, 3)), x.tolist()
+        return np.array(planar_jacobian(u, v, r, self.contact, self.car, jacobian)), jacobian
 
     def hessians(self, x: np.ndarray) -> np.ndarray:
-        hessian = np.empty((5, 3, 3))
-        self._hessian(*x, self.contact, self.car, hessian)
+        hessian, (u, v, r) = np.empty((5, 3, 3)), x.tolist()
+        planar_hessian(u, v, r, self.contact, self.car, hessian)
         return hessian
 
     def move(self, x: np.ndarray, steps: int) -> np.ndarray:
         moved = np.array(x)
-        self._move(moved, self.contact, steps, self.dt, self.car)
+        planar_move(moved, self.contact, steps, self.dt, self.car)
         return moved
 
     def expected(self, x: np.ndarray) -> np.ndarray:
-        z = np.empty(6)
-        _, _, _, ax, ay = self._rates(*x, self.contact, self.car)
-        self._expect(x, ax, ay, self.contact, z)
+        z, (u, v, r) = np.empty(6), x.tolist()
+        _, _, _, ax, ay = planar_rates(u, v, r, self.contact, self.car)
+        expect(x, ax, ay, self.contact, z)
         return z[self.there]
 
     def rows(self, x: np.ndarray) -> np.ndarray:
@@ -105,7 +93,7 @@ class _Model:
         ]
 
 
-def reference_first_order_ekf(estimator: FirstOrderEKF, inputs: Inputs, plain: bool = False) -> Estimate:
+def reference_first_order_ekf(estimator: FirstOrderEKF, inputs: Inputs) -> Estimate:
     """Estimate a log as `FirstOrderEKF.run` does, with filterpy's ExtendedKalmanFilter."""
     ekf = _GivenPrediction(dim_x=3, dim_z=6)
 
@@ -125,7 +113,7 @@ def reference_first_order_ekf(estimator: FirstOrderEKF, inputs: Inputs, plain: b
         ekf.update(model.z, model.rows, model.expected, R=model.r)
         return ekf.x, ekf.P, float(ekf.y @ ekf.SI @ ekf.y)
 
-    return _run(estimator, inputs, plain, predict, update)
+    return _run(estimator, inputs, predict, update)
 
 
 class _GivenPrediction(ExtendedKalmanFilter):
@@ -135,7 +123,7 @@ class _GivenPrediction(ExtendedKalmanFilter):
         self.x = u
 
 
-def reference_iterated_ekf(estimator: IteratedEKF, inputs: Inputs, plain: bool = False) -> Estimate:
+def reference_iterated_ekf(estimator: IteratedEKF, inputs: Inputs) -> Estimate:
     """Estimate a log as `IteratedEKF.run` does, in plain numpy."""
 
     def predict(model: _Model, x: np.ndarray, p: np.ndarray) -> Belief:
@@ -160,10 +148,10 @@ def reference_iterated_ekf(estimator: IteratedEKF, inputs: Inputs, plain: bool =
         posterior = keep @ p @ keep.T + k @ model.r @ k.T
         return point, posterior, float(innovation @ np.linalg.solve(s, innovation))
 
-    return _run(estimator, inputs, plain, predict, update)
+    return _run(estimator, inputs, predict, update)
 
 
-def reference_second_order_ekf(estimator: SecondOrderEKF, inputs: Inputs, plain: bool = False) -> Estimate:
+def reference_second_order_ekf(estimator: SecondOrderEKF, inputs: Inputs) -> Estimate:
     """Estimate a log as `SecondOrderEKF.run` does, in plain numpy (Simon 2006, section 13.3.2)."""
 
     def terms(hessians: np.ndarray, p: np.ndarray) -> Belief:
@@ -196,7 +184,7 @@ def reference_second_order_ekf(estimator: SecondOrderEKF, inputs: Inputs, plain:
             float(innovation @ np.linalg.solve(s, innovation)),
         )
 
-    return _run(estimator, inputs, plain, predict, update)
+    return _run(estimator, inputs, predict, update)
 
 
 class _Points:
@@ -212,7 +200,7 @@ class _Points:
         return x + self.unit @ np.linalg.cholesky(p).T
 
 
-def reference_ukf(estimator: SimpleUKF, inputs: Inputs, plain: bool = False) -> Estimate:
+def reference_ukf(estimator: SimpleUKF, inputs: Inputs) -> Estimate:
     """Estimate a log as an unscented filter's `run` does, with filterpy's UnscentedKalmanFilter."""
     points = _Points(estimator.sigma_points())
     ukf = UnscentedKalmanFilter(3, 6, inputs.dt, None, None, points)
@@ -229,24 +217,22 @@ def reference_ukf(estimator: SimpleUKF, inputs: Inputs, plain: bool = False) -> 
         ukf.update(model.z, R=model.r, hx=model.expected)
         return _clipped(ukf.x), ukf.P, float(ukf.y @ ukf.SI @ ukf.y)
 
-    return _run(estimator, inputs, plain, predict, update)
+    return _run(estimator, inputs, predict, update)
 
 
-def reference_cubature_kf(estimator: SqrtCubatureKF, inputs: Inputs, plain: bool = False) -> Estimate:
+def reference_cubature_kf(estimator: SqrtCubatureKF, inputs: Inputs) -> Estimate:
     """Estimate a log as `SqrtCubatureKF.run` does, with filterpy's CubatureKalmanFilter.
 
     filterpy keeps the predicted points for the update; here they are drawn anew, as Arasaratnam and Haykin
     do.
     """
-    return _run(estimator, inputs, plain, *_cubature(inputs.dt))
+    return _run(estimator, inputs, *_cubature(inputs.dt))
 
 
-def reference_receding_horizon(
-    estimator: CubatureRecedingHorizonKF, inputs: Inputs, plain: bool = False
-) -> Estimate:
+def reference_receding_horizon(estimator: CubatureRecedingHorizonKF, inputs: Inputs) -> Estimate:
     """Estimate a log as `CubatureRecedingHorizonKF.run` does, with filterpy's CubatureKalmanFilter."""
     predict, update = _cubature(inputs.dt)
-    model = _Model(estimator, inputs.dt, plain)
+    model = _Model(estimator, inputs.dt)
     length = max(round(estimator.horizon / inputs.dt), 1) + 1
     out = np.empty((len(inputs.samples), 3))
     first = 0
@@ -301,9 +287,9 @@ def _beta(x: np.ndarray, p: np.ndarray) -> tuple[float, float]:
     return math.atan2(x[1], x[0]), math.sqrt(gradient @ p @ gradient)
 
 
-def _run(estimator: PlanarFilter, inputs: Inputs, plain: bool, predict: Predict, update: Update) -> Estimate:
+def _run(estimator: PlanarFilter, inputs: Inputs, predict: Predict, update: Update) -> Estimate:
     """Run one filter over a log: the rolling answer at low speed, else predict and update."""
-    model = _Model(estimator, inputs.dt, plain)
+    model = _Model(estimator, inputs.dt)
     x, p = np.zeros(3), np.zeros((3, 3))
 
     def begin(sample: np.ndarray, beta: float, beta_std: float) -> None:

@@ -35,6 +35,7 @@ from crosscomb.filters.planar import (
     substeps,
 )  # fmt: skip
 from crosscomb.filters.planar_ekf import PlanarEKFState, ekf_state, update_linear
+from crosscomb.models.compiled import inlined
 from crosscomb.models.planar import planar_hessian, planar_jacobian
 
 
@@ -46,7 +47,7 @@ class SecondOrderState(NamedTuple):
     product: np.ndarray  # (5, 3, 3) Hessians times covariance
 
 
-@njit(cache=True)
+@inlined
 def curvature_terms(state, first, count, car):
     """Hessians times covariance at the mean, of the answers first, first + 1, ... of `planar_rates`."""
     mean, cov = state.ekf.mean, state.ekf.cov
@@ -60,13 +61,13 @@ def curvature_terms(state, first, count, car):
                 state.product[a, i, j] = total
 
 
-@njit(cache=True)
+@inlined
 def trace_of(product, a):
     """tr(D_a P)."""
     return product[a, 0, 0] + product[a, 1, 1] + product[a, 2, 2]
 
 
-@njit(cache=True)
+@inlined
 def trace_of_pair(product, a, b):
     """tr(D_a P D_b P)."""
     total = 0.0
@@ -76,7 +77,7 @@ def trace_of_pair(product, a, b):
     return total
 
 
-@njit(cache=True)
+@inlined
 def second_order_predict(state, sample, car, noise, dt):
     """Predict mean and covariance over dt by Euler steps, to second order."""
     ekf, mean, q, product = state.ekf, state.ekf.mean, state.ekf.q, state.product
@@ -96,7 +97,7 @@ def second_order_predict(state, sample, car, noise, dt):
         clip_state(mean)
 
 
-@njit(cache=True)
+@inlined
 def second_order_update(state, sample, car, noise):
     """Update with what is measured, to second order; give the NIS.
 
@@ -130,7 +131,7 @@ def second_order_update(state, sample, car, noise):
     return nis if measured > 0 else math.nan
 
 
-@njit(cache=True)
+@inlined
 def update_row(mean, cov, point, jacobian, a, b, left, variance):
     """Update with a ax + b ay, linearised at a point where its innovation is `left`; give the NIS."""
     h0 = a * jacobian[Z_AX, 0] + b * jacobian[Z_AY, 0]
@@ -140,7 +141,7 @@ def update_row(mean, cov, point, jacobian, a, b, left, variance):
     return joseph_update_3(mean, cov, h0, h1, h2, left, variance)
 
 
-@njit(cache=True)
+@inlined
 def second_order_step(state, sample, car, noise, dt, out):
     """One sample of the second-order filter; `out` gets beta, its std and the NIS."""
     ekf = state.ekf

@@ -39,6 +39,7 @@ from crosscomb.filters.planar import (
     set_sample,
     substeps,
 )  # fmt: skip
+from crosscomb.models.compiled import inlined
 from crosscomb.models.planar import Contacts, contacts, planar_rates
 
 
@@ -118,7 +119,7 @@ class SigmaPointState(NamedTuple):
     innovation: np.ndarray  # (6,)
 
 
-@njit(cache=True)
+@inlined
 def draw(mean, cov, sigma, factor, points):
     """Write the sigma points of a distribution into points ``(k, n)``."""
     n = mean.size
@@ -131,7 +132,7 @@ def draw(mean, cov, sigma, factor, points):
             points[p, i] = total
 
 
-@njit(cache=True)
+@inlined
 def moments(points, sigma, q, mean, cov):
     """Write the weighted mean of points ``(k, n)`` and their covariance plus q ``(n, n)``."""
     n = mean.size
@@ -148,7 +149,7 @@ def moments(points, sigma, q, mean, cov):
             cov[i, j] = cov[j, i] = total
 
 
-@njit(cache=True)
+@inlined
 def update_by_points(mean, cov, points, images, sigma, z, s, cross, innovation, factor):
     """Update with the measurements that are not NaN; the arrays as in `SigmaPointState`; give the NIS."""
     n, m = mean.size, 0
@@ -178,7 +179,7 @@ def update_by_points(mean, cov, points, images, sigma, z, s, cross, innovation, 
     return joint_update(mean, cov, cross, s, innovation, m, factor)
 
 
-@njit(cache=True)
+@inlined
 def sigma_point_step(state, sample, car, noise, dt, out):
     """One sample of an unscented filter; `out` ``(3,)`` gets beta, its standard deviation and the NIS."""
     mean, cov, points, images = state.mean, state.cov, state.points, state.images

@@ -44,6 +44,7 @@ from crosscomb.filters.base import (
     low_speed_answer,
 )  # fmt: skip
 from crosscomb.filters.leading import consider_update, propagate_leading
+from crosscomb.models.compiled import inlined
 from crosscomb.models.parameter_track import (
     BETA_RATE,
     BY_PARAMETER,
@@ -117,7 +118,7 @@ def make_tyre_state(limits: Limits, adapting: bool) -> TyreState:
     )
 
 
-@njit(cache=True)
+@inlined
 def tyre_start(state, sample, beta, beta_std, noise):
     """Start beta, yaw rate and the rates anew; the parameters stay as they were learned."""
     mean, cov = state.mean, state.cov
@@ -130,7 +131,7 @@ def tyre_start(state, sample, beta, beta_std, noise):
     cov[2, 2], cov[3, 3] = FIRST_RATES_STD[0] ** 2, FIRST_RATES_STD[1] ** 2
 
 
-@njit(cache=True)
+@inlined
 def tyre_predict(state, sample, car, noise, dt, adapting):
     """Predict over dt by Euler steps, so many that the rates, which lag a step behind, stay stable."""
     mean, cov, slopes, rows, limits = state.mean, state.cov, state.slopes, state.rows, state.limits
@@ -169,14 +170,14 @@ def tyre_predict(state, sample, car, noise, dt, adapting):
             cov[i, i] += growth(cov[i, i], limits.walk[p], limits.spread[p], dt)
 
 
-@njit(cache=True)
+@inlined
 def hold_rates(mean):
     """Hold beta, yaw rate and their rates inside `MAX_STATE`."""
     for i in range(RATES):
         mean[i] = min(max(mean[i], -MAX_STATE[i]), MAX_STATE[i])
 
 
-@njit(cache=True)
+@inlined
 def tyre_update(state, sample, noise, free):
     """Update the first `free` states with yaw rate and ay, as far as they are there; give the NIS."""
     mean, cov = state.mean, state.cov
@@ -204,7 +205,7 @@ def tyre_update(state, sample, noise, free):
     return nis
 
 
-@njit(cache=True)
+@inlined
 def tyre_step(state, sample, car, noise, dt, out):
     """One sample; `out` ``(3 + extras,)`` gets beta, its std, the NIS and adapted parameters."""
     mean, cov = state.mean, state.cov

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 
-from numba import njit
+from crosscomb.models.compiled import inlined
 
 
-@njit(cache=True)
+@inlined
 def velocity_rates(vx, vy, yaw_rate, ax, ay):
     """Rates of the velocity in the turning frame of the car.
 
@@ -25,7 +25,7 @@ def velocity_rates(vx, vy, yaw_rate, ax, ay):
     return ax + yaw_rate * vy, ay - yaw_rate * vx
 
 
-@njit(cache=True)
+@inlined
 def rotation(yaw_rate, dt):
     """Exact transition of the velocity over one step: the frame turns by yaw_rate dt under it.
 
@@ -39,7 +39,7 @@ def rotation(yaw_rate, dt):
     return cosine, sine, -sine, cosine
 
 
-@njit(cache=True)
+@inlined
 def input_gain(yaw_rate, dt):
     """Exact gain from an acceleration held over one step to the velocity at its end.
 
@@ -56,7 +56,7 @@ def input_gain(yaw_rate, dt):
     return along, across, -across, along
 
 
-@njit(cache=True)
+@inlined
 def slip_of_rolling_rear(steer, steer_rear, cg_to_front_axle, cg_to_rear_axle):
     """Sideslip angle of a car that rolls without tyre slip, from the steering alone [rad].
 

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from numba import njit
+from crosscomb.models.compiled import inlined
 
 
-@njit(cache=True)
+@inlined
 def linear_single_track_rates(yaw_rate, beta, vx, steer, steer_rear, car):
     """Rates, ay and Jacobian of the linear single track.
 

@@ -8,10 +8,10 @@ from __future__ import annotations
 
 import math
 
-from numba import njit
+from crosscomb.models.compiled import inlined
 
 
-@njit(cache=True)
+@inlined
 def magic_formula(slip, stiffness_factor, shape, peak, curvature):
     """Force of a tyre at pure slip: D sin(C atan(B s - E (B s - atan(B s)))), D'Inverno 2021, eq. 7.
 
@@ -35,7 +35,7 @@ def magic_formula(slip, stiffness_factor, shape, peak, curvature):
     return peak * sine, peak * shape * cosine * bent_slope / (1.0 + bent * bent)
 
 
-@njit(cache=True)
+@inlined
 def magic_formula_bend(slip, stiffness_factor, shape, peak, curvature):
     """First and second derivative of the force of `magic_formula` by the slip.
 
@@ -63,14 +63,14 @@ def magic_formula_bend(slip, stiffness_factor, shape, peak, curvature):
     )
 
 
-@njit(cache=True)
+@inlined
 def sine_cosine(phase):
     """Sine and cosine for |phase| <= pi; one square root is cheaper than a second series."""
     sine = math.sin(phase)
     return sine, math.copysign(math.sqrt(max(1.0 - sine * sine, 0.0)), 0.5 * math.pi - abs(phase))
 
 
-@njit(cache=True)
+@inlined
 def peak_friction(load, a1, a2):
     """Friction coefficient that falls with the load: mu = a1 Fz + a2, D'Inverno 2021, eq. 8.
 
@@ -84,7 +84,7 @@ def peak_friction(load, a1, a2):
     return a1 * load + a2
 
 
-@njit(cache=True)
+@inlined
 def combined_slip_weight(slip, stiffness_factor, shape, curvature):
     """Weight G of the force when the tyre also slips the other way, D'Inverno 2021, eq. 9.
 

@@ -11,14 +11,15 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
+from crosscomb.models.compiled import inlined
 from crosscomb.models.single_track import (
-    FRICTION_MARGIN,
     SingleTrack,
     axle_loads,
+    axle_slopes,
     body_rates,
-    body_slopes,
+    friction_in_force,
+    sin_cos_tan,
     slip_angles,
     slip_rate_slope,
 )
@@ -29,7 +30,6 @@ from crosscomb.models.tyres import (
     rational_parameters,
     rational_tyre,
 )
-from crosscomb.signals import GRAVITY
 
 STIFFNESS = 0
 RATIONAL = 1
@@ -72,7 +72,7 @@ def first_parameters(law: int, car: SingleTrack) -> np.ndarray:
     )
 
 
-@njit(cache=True)
+@inlined
 def stiffness_forces(alpha_f, alpha_r, parameters, by):
     """Axle forces and slopes of linear tyres; arguments and results as `tyre_forces`."""
     by[0, 0], by[0, 1] = alpha_f, 0.0
@@ -80,12 +80,12 @@ def stiffness_forces(alpha_f, alpha_r, parameters, by):
     return parameters[0] * alpha_f, parameters[0], parameters[1] * alpha_r, parameters[1]
 
 
-@njit(cache=True)
+@inlined
 def rising_rational(alpha, c1, c2, friction, load_ratio):
     """Rational tyre that rises slowly beyond its peak; arguments and results as `rational_tyre`."""
-    peak_angle = math.sqrt(c1 * (friction + 1.0))
-    if abs(alpha) <= peak_angle:
+    if alpha * alpha <= c1 * (friction + 1.0):
         return rational_tyre(alpha, c1, c2, friction, load_ratio)
+    peak_angle = math.sqrt(c1 * (friction + 1.0))
     force, _, _, by_c2 = rational_tyre(math.copysign(peak_angle, alpha), c1, c2, friction, load_ratio)
     slope = SLOPE_BEYOND_PEAK * c2 * friction * load_ratio
     beyond = alpha - math.copysign(peak_angle, alpha)
@@ -94,7 +94,7 @@ def rising_rational(alpha, c1, c2, friction, load_ratio):
     return force + slope * beyond, slope, by_c1, by_c2 + slope * beyond / c2
 
 
-@njit(cache=True)
+@inlined
 def rational_forces(alpha_f, alpha_r, fxf, fxr, ax, friction, parameters, car, by):
     """Axle forces and slopes of rational tyres; arguments and results as `tyre_forces`.
 
@@ -114,7 +114,7 @@ def rational_forces(alpha_f, alpha_r, fxf, fxr, ax, friction, parameters, car, b
     return fyf, slope_f, fyr, slope_r
 
 
-@njit(cache=True)
+@inlined
 def friction_axle(alpha, stiffness, friction, load, longitudinal_force, adaptable):
     """Force, slope and derivative by the friction of one Dugoff axle."""
     capacity = lateral_capacity(friction, load, longitudinal_force)
@@ -125,7 +125,7 @@ def friction_axle(alpha, stiffness, friction, load, longitudinal_force, adaptabl
     return force, slope, adaptable * grows * dugoff_by_capacity(alpha, stiffness, capacity)
 
 
-@njit(cache=True)
+@inlined
 def friction_forces(alpha_f, alpha_r, fxf, fxr, ax, used, parameters, car, by):
     """Axle forces and slopes of Dugoff tyres with friction as parameter; results as `tyre_forces`.
 
@@ -140,7 +140,7 @@ def friction_forces(alpha_f, alpha_r, fxf, fxr, ax, used, parameters, car, by):
     return fyf, slope_f, fyr, slope_r
 
 
-@njit(cache=True)
+@inlined
 def tyre_forces(law, alpha_f, alpha_r, fxf, fxr, ax, ay_seen, parameters, car, by):
     """Lateral axle forces, their slopes and their derivatives by the parameters.
 
@@ -160,7 +160,7 @@ def tyre_forces(law, alpha_f, alpha_r, fxf, fxr, ax, ay_seen, parameters, car, b
     -------
     fyf, slope_f, fyr, slope_r : float [N], float [N/rad]
     """
-    used = FRICTION_MARGIN * math.hypot(ax, ay_seen) / GRAVITY
+    used = friction_in_force(0.0, ax, ay_seen)
     if law == STIFFNESS:
         return stiffness_forces(alpha_f, alpha_r, parameters, by)
     if law == RATIONAL:
@@ -169,7 +169,15 @@ def tyre_forces(law, alpha_f, alpha_r, fxf, fxr, ax, ay_seen, parameters, car, b
     return friction_forces(alpha_f, alpha_r, fxf, fxr, ax, used, parameters, car, by)
 
 
-@njit(cache=True)
+@inlined
+def set_slopes(slopes, column, of_f, of_r, front, rear):
+    """Write the slopes by what changes the axle forces by `front` and `rear`; `of_f`, `of_r`: `axle_slopes`."""
+    slopes[YAW_ACCELERATION, column] = of_f[0] * front + of_r[0] * rear
+    slopes[BETA_RATE, column] = of_f[1] * front + of_r[1] * rear
+    slopes[LATERAL, column] = of_f[3] * front + of_r[3] * rear
+
+
+@inlined
 def parameter_track_rates(
     yaw_rate, beta, vx, steer, steer_rear, fxf, fxr, ax, ay_seen, law, parameters, car, by, slopes
 ):
@@ -189,37 +197,32 @@ def parameter_track_rates(
     -------
     beta_rate, yaw_acceleration, ay : float [rad/s], [rad/s^2], [m/s^2]
     """
+    sin_b, cos_b, tangent = sin_cos_tan(beta)
     alpha_f, alpha_r, af_r, af_b, ar_r, ar_b = slip_angles(
-        yaw_rate, beta, vx, steer, steer_rear, car.a, car.b
+        yaw_rate, tangent, vx, steer, steer_rear, car.a, car.b
     )
     fyf, slope_f, fyr, slope_r = tyre_forces(
         law, alpha_f, alpha_r, fxf, fxr, ax, ay_seen, parameters, car, by
     )
     cos_f, sin_f = math.cos(steer), math.sin(steer)
     cos_r, sin_r = math.cos(steer_rear), math.sin(steer_rear)
-    cos_b, sin_b = math.cos(beta), math.sin(beta)
     yaw_acceleration, beta_rate, body_ax, body_ay = body_rates(
         fxf, fxr, fyf, fyr, vx, yaw_rate, cos_f, sin_f, cos_r, sin_r,
         cos_b, sin_b, car.mass, car.yaw_inertia, car.a, car.b,
     )  # fmt: skip
-    for column in range(BY_PARAMETER + parameters.shape[0]):
-        if column == BY_BETA:
-            front, rear = slope_f * af_b, slope_r * ar_b
-        elif column == BY_YAW_RATE:
-            front, rear = slope_f * af_r, slope_r * ar_r
-        elif column == BY_STEER:
-            front, rear = slope_f, 0.0
-        else:
-            front, rear = by[column - BY_PARAMETER, 0], by[column - BY_PARAMETER, 1]
-        slopes[YAW_ACCELERATION, column], slopes[BETA_RATE, column], _, slopes[LATERAL, column] = body_slopes(
-            front, rear, vx, cos_f, sin_f, cos_r, sin_r, cos_b, sin_b, car.mass, car.yaw_inertia, car.a, car.b
-        )
+    of_f = axle_slopes(cos_f, sin_f, car.a, vx, cos_b, sin_b, car.mass, car.yaw_inertia)
+    of_r = axle_slopes(cos_r, sin_r, -car.b, vx, cos_b, sin_b, car.mass, car.yaw_inertia)
+    set_slopes(slopes, BY_BETA, of_f, of_r, slope_f * af_b, slope_r * ar_b)
+    set_slopes(slopes, BY_YAW_RATE, of_f, of_r, slope_f * af_r, slope_r * ar_r)
+    set_slopes(slopes, BY_STEER, of_f, of_r, slope_f, 0.0)
+    for i in range(parameters.shape[0]):
+        set_slopes(slopes, BY_PARAMETER + i, of_f, of_r, by[i, 0], by[i, 1])
     slopes[BETA_RATE, BY_YAW_RATE] -= 1.0
     slopes[BETA_RATE, BY_BETA] += slip_rate_slope(body_ax, body_ay, cos_b, sin_b, vx)
     return beta_rate, yaw_acceleration, body_ay
 
 
-@njit(cache=True)
+@inlined
 def lateral_acceleration(beta, yaw_rate, beta_rate, vx, ax):
     """Lateral acceleration from the motion alone, and its slopes; Di Biase 2020, eq. 39, corrected.
 

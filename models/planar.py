@@ -20,13 +20,12 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from crosscomb.models.compiled import inlined
 from crosscomb.models.magic_formula import magic_formula, magic_formula_bend, peak_friction
-from crosscomb.models.single_track import FRICTION_MARGIN, axle_loads
+from crosscomb.models.single_track import axle_loads, friction_in_force
 from crosscomb.models.tyres import lateral_capacity
 from crosscomb.models.vehicle import Vehicle
-from crosscomb.signals import GRAVITY
 
 TRACKS = ("single", "double")
 
@@ -96,7 +95,7 @@ def contacts() -> Contacts:
     return Contacts(np.zeros((4, 6)), np.zeros(3), np.zeros((2, 3)))
 
 
-@njit(cache=True)
+@inlined
 def set_contacts(contact, steer, steer_rear, fxf, fxr, ax, ay, car):
     """Set the contacts of one sample.
 
@@ -116,7 +115,7 @@ def set_contacts(contact, steer, steer_rear, fxf, fxr, ax, ay, car):
     car : PlanarCar
     """
     wheels, known, rows = contact.wheels, contact.known, contact.speed_rows
-    friction = max(car.friction, FRICTION_MARGIN * math.hypot(ax, ay) / GRAVITY)
+    friction = friction_in_force(car.friction, ax, ay)
     rest_f, rest_r = axle_loads(0.0, car)
     load_f, load_r = axle_loads(ax, car)
     # A left turn, ay > 0, loads the right wheels.
@@ -135,7 +134,7 @@ def set_contacts(contact, steer, steer_rear, fxf, fxr, ax, ay, car):
         rows[i, 0], rows[i, 1], rows[i, 2] = cos_f, sin_f, car.a * sin_f - y * cos_f
 
 
-@njit(cache=True)
+@inlined
 def set_axle(wheels, first, end, angle, x, half_track, axle, friction, car):
     """Set the wheels first to end of an axle at x [m], one in the middle or a left and a right one.
 
@@ -163,7 +162,7 @@ def set_axle(wheels, first, end, angle, x, half_track, axle, friction, car):
     return count * force * cos, count * force * sin, moment
 
 
-@njit(cache=True)
+@inlined
 def wheel_slip(u, v, r, wheels, i):
     """Slip angle of a wheel and its derivatives by the contact's speed across and along the wheel.
 
@@ -187,7 +186,7 @@ def wheel_slip(u, v, r, wheels, i):
     return -math.atan(side / way), -way * inverse, math.copysign(side, side * roll) * inverse, side, way
 
 
-@njit(cache=True)
+@inlined
 def planar_rates(u, v, r, contact, car):
     """Rates and accelerations of the planar model.
 
@@ -216,7 +215,7 @@ def planar_rates(u, v, r, contact, car):
     return v * r + ax, ay - u * r, moment / car.yaw_inertia, ax, ay
 
 
-@njit(cache=True)
+@inlined
 def planar_jacobian(u, v, r, contact, car, jacobian):
     """`planar_rates` and its Jacobian, analytically.
 
@@ -255,7 +254,7 @@ def planar_jacobian(u, v, r, contact, car, jacobian):
     return v * r + ax, ay - u * r, moment / inertia, ax, ay
 
 
-@njit(cache=True)
+@inlined
 def planar_hessian(u, v, r, contact, car, hessian):
     """Second derivatives of `planar_rates`, analytically.
 

@@ -8,12 +8,11 @@ from __future__ import annotations
 
 import math
 
-from numba import njit
+from crosscomb.models.compiled import inlined
+from crosscomb.models.single_track import axle_slopes, body_rates, sin_cos_tan, slip_rate_slope
 
-from crosscomb.models.single_track import body_rates, body_slopes, slip_rate_slope
 
-
-@njit(cache=True)
+@inlined
 def random_walk_rates(state, vx, steer, steer_rear, car):
     """Rates and measurements of the random-walk model.
 
@@ -38,9 +37,9 @@ def random_walk_rates(state, vx, steer, steer_rear, car):
     )  # fmt: skip
 
 
-@njit(cache=True)
+@inlined
 def random_walk_jacobian(state, vx, steer, steer_rear, car, jacobian):
-    """Derivatives of `random_walk_rates` by the state.
+    """`random_walk_rates` and its derivatives by the state.
 
     Parameters
     ----------
@@ -48,23 +47,30 @@ def random_walk_jacobian(state, vx, steer, steer_rear, car, jacobian):
         As in `random_walk_rates`.
     jacobian : (4, 6)
         Filled: rows yaw_acceleration, beta_rate, ax, ay; columns as the state.
+
+    Returns
+    -------
+    As `random_walk_rates`.
     """
     cos_f, sin_f = math.cos(steer), math.sin(steer)
     cos_r, sin_r = math.cos(steer_rear), math.sin(steer_rear)
-    cos_b, sin_b = math.cos(state[1]), math.sin(state[1])
+    sin_b, cos_b, _ = sin_cos_tan(state[1])
+    mass, inertia = car.mass, car.yaw_inertia
     # A longitudinal force is a lateral one turned by -90 deg: (cos, sin) becomes (sin, -cos).
-    longitudinal = (sin_f, -cos_f, sin_r, -cos_r)
-    lateral = (cos_f, sin_f, cos_r, sin_r)
-    for column in range(2, 6):
-        cf, sf, cr, sr = longitudinal if column < 4 else lateral
-        front = 1.0 if column % 2 == 0 else 0.0
-        slopes = body_slopes(
-            front, 1.0 - front, vx, cf, sf, cr, sr, cos_b, sin_b, car.mass, car.yaw_inertia, car.a, car.b
-        )
-        for row in range(4):
-            jacobian[row, column] = slopes[row]
-    _, _, ax, ay = random_walk_rates(state, vx, steer, steer_rear, car)
-    for row in range(4):
-        jacobian[row, 0] = jacobian[row, 1] = 0.0
-    jacobian[1, 0] = -1.0
-    jacobian[1, 1] = slip_rate_slope(ax, ay, cos_b, sin_b, vx)
+    set_column(jacobian, 2, axle_slopes(sin_f, -cos_f, car.a, vx, cos_b, sin_b, mass, inertia))
+    set_column(jacobian, 3, axle_slopes(sin_r, -cos_r, -car.b, vx, cos_b, sin_b, mass, inertia))
+    set_column(jacobian, 4, axle_slopes(cos_f, sin_f, car.a, vx, cos_b, sin_b, mass, inertia))
+    set_column(jacobian, 5, axle_slopes(cos_r, sin_r, -car.b, vx, cos_b, sin_b, mass, inertia))
+    yaw_acceleration, beta_rate, ax, ay = body_rates(
+        state[2], state[3], state[4], state[5], vx, state[0], cos_f, sin_f, cos_r, sin_r,
+        cos_b, sin_b, mass, inertia, car.a, car.b,
+    )  # fmt: skip
+    set_column(jacobian, 0, (0.0, -1.0, 0.0, 0.0))
+    set_column(jacobian, 1, (0.0, slip_rate_slope(ax, ay, cos_b, sin_b, vx), 0.0, 0.0))
+    return yaw_acceleration, beta_rate, ax, ay
+
+
+@inlined
+def set_column(matrix, column, values):
+    """Write four values into a column of a matrix ``(4, n)``."""
+    matrix[0, column], matrix[1, column], matrix[2, column], matrix[3, column] = values

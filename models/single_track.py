@@ -10,8 +10,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from numba import njit
-
+from crosscomb.models.compiled import inlined
 from crosscomb.models.tyres import TYRE_LAWS, axle_tyre, lateral_capacity
 from crosscomb.models.vehicle import Vehicle
 from crosscomb.signals import GRAVITY
@@ -56,7 +55,7 @@ def single_track(vehicle: Vehicle, tyre: str = "dugoff") -> SingleTrack:
     )
 
 
-@njit(cache=True)
+@inlined
 def axle_loads(ax, car):
     """Vertical load of the front and rear axle with longitudinal load transfer [N].
 
@@ -65,18 +64,35 @@ def axle_loads(ax, car):
     ax : float [m/s^2]
     car : SingleTrack
     """
-    wheelbase = car.a + car.b
     weight = car.mass * GRAVITY
-    transfer = car.mass * ax * car.cg_height / wheelbase
-    front = weight * car.b / wheelbase - transfer
-    rear = weight * car.a / wheelbase + transfer
+    per_length = 1.0 / (car.a + car.b)
+    transfer = car.mass * ax * car.cg_height
+    front = (weight * car.b - transfer) * per_length
+    rear = (weight * car.a + transfer) * per_length
     least = 0.05 * weight
     return max(front, least), max(rear, least)
 
 
-@njit(cache=True)
-def slip_angles(yaw_rate, beta, vx, steer, steer_rear, a, b):
+@inlined
+def sin_cos_tan(beta):
+    """Sine, cosine and tangent for |beta| < 90 deg: a root is cheaper than two more series."""
+    tangent = math.tan(beta)
+    cosine = 1.0 / math.sqrt(1.0 + tangent * tangent)
+    return tangent * cosine, cosine, tangent
+
+
+@inlined
+def slip_angles(yaw_rate, tangent, vx, steer, steer_rear, a, b):
     """Slip angles of both axles and their slopes (Atheupe 2023, eq. 24, without small angles).
+
+    Parameters
+    ----------
+    yaw_rate : float [rad/s]
+    tangent : float
+        Of beta.
+    vx : float [m/s]
+    steer, steer_rear : float [rad]
+    a, b : float [m]
 
     Returns
     -------
@@ -84,23 +100,23 @@ def slip_angles(yaw_rate, beta, vx, steer, steer_rear, a, b):
     alpha_f_r, alpha_f_b, alpha_r_r, alpha_r_b : float
         Derivatives by yaw rate [s] and by beta [-].
     """
-    tangent = math.tan(beta)
-    front = tangent + a * yaw_rate / vx
-    rear = tangent - b * yaw_rate / vx
+    time_front, time_rear = a / vx, b / vx
+    front = tangent + time_front * yaw_rate
+    rear = tangent - time_rear * yaw_rate
     d_front = -1.0 / (1.0 + front * front)
     d_rear = -1.0 / (1.0 + rear * rear)
     secant2 = 1.0 + tangent * tangent
     return (
         steer - math.atan(front),
         steer_rear - math.atan(rear),
-        d_front * a / vx,
+        d_front * time_front,
         d_front * secant2,
-        -d_rear * b / vx,
+        -d_rear * time_rear,
         d_rear * secant2,
     )
 
 
-@njit(cache=True)
+@inlined
 def body_rates(
     fxf, fxr, fyf, fyr, vx, yaw_rate, cos_f, sin_f, cos_r, sin_r, cos_b, sin_b, mass, yaw_inertia, a, b
 ):
@@ -122,38 +138,41 @@ def body_rates(
     # Forces along the axes of the car.
     front_x, front_y = fxf * cos_f - fyf * sin_f, fxf * sin_f + fyf * cos_f
     rear_x, rear_y = fxr * cos_r - fyr * sin_r, fxr * sin_r + fyr * cos_r
-    ax = (front_x + rear_x) / mass
-    ay = (front_y + rear_y) / mass
-    yaw_acceleration = (a * front_y - b * rear_y) / yaw_inertia
-    beta_rate = (ay * cos_b - ax * sin_b) * cos_b / vx - yaw_rate
+    # Reciprocals, as kernels divide by the same numbers again and again.
+    per_mass, per_inertia, per_vx = 1.0 / mass, 1.0 / yaw_inertia, 1.0 / vx
+    ax = (front_x + rear_x) * per_mass
+    ay = (front_y + rear_y) * per_mass
+    yaw_acceleration = (a * front_y - b * rear_y) * per_inertia
+    beta_rate = (ay * cos_b - ax * sin_b) * cos_b * per_vx - yaw_rate
     return yaw_acceleration, beta_rate, ax, ay
 
 
-@njit(cache=True)
-def body_slopes(dfyf, dfyr, vx, cos_f, sin_f, cos_r, sin_r, cos_b, sin_b, mass, yaw_inertia, a, b):
-    """Change of `body_rates` with a state that changes the lateral axle forces by dfyf and dfyr.
-
-    Parameters
-    ----------
-    dfyf, dfyr : float [N per unit of the state]
+@inlined
+def axle_slopes(cos, sin, arm, vx, cos_b, sin_b, mass, yaw_inertia):
+    """Derivatives of `body_rates` by the lateral force of an axle, `arm` [m] ahead of the centre of gravity.
 
     Returns
     -------
-    Derivatives of yaw_acceleration, beta_rate, ax, ay; that of beta_rate without what the state does directly.
+    Of yaw_acceleration [rad/s^2/N], beta_rate [rad/s/N], ax and ay [m/s^2/N].
     """
-    d_ax = -(dfyf * sin_f + dfyr * sin_r) / mass
-    d_ay = (dfyf * cos_f + dfyr * cos_r) / mass
-    d_yaw = (a * dfyf * cos_f - b * dfyr * cos_r) / yaw_inertia
-    return d_yaw, (d_ay * cos_b - d_ax * sin_b) * cos_b / vx, d_ax, d_ay
+    per_mass, per_inertia, per_vx = 1.0 / mass, 1.0 / yaw_inertia, 1.0 / vx
+    by_ax, by_ay = -sin * per_mass, cos * per_mass
+    return arm * cos * per_inertia, (by_ay * cos_b - by_ax * sin_b) * cos_b * per_vx, by_ax, by_ay
 
 
-@njit(cache=True)
+@inlined
+def friction_in_force(friction, ax, ay):
+    """Friction of the vehicle file, or `FRICTION_MARGIN` times the acceleration in use [m/s^2] if that is more."""
+    return max(friction, FRICTION_MARGIN / GRAVITY * math.sqrt(ax * ax + ay * ay))
+
+
+@inlined
 def slip_rate_slope(ax, ay, cos_b, sin_b, vx):
     """Derivative of beta_rate by beta at constant forces [1/s]."""
     return -(2.0 * ay * sin_b * cos_b + ax * (cos_b * cos_b - sin_b * sin_b)) / vx
 
 
-@njit(cache=True)
+@inlined
 def single_track_rates(yaw_rate, beta, vx, steer, steer_rear, fxf, fxr, ax_load, ay_seen, car):
     """Rates, measurements and Jacobian of the single-track model (Atheupe 2023, eq. 22 and 23, corrected).
 
@@ -185,9 +204,10 @@ def single_track_rates(yaw_rate, beta, vx, steer, steer_rear, fxf, fxr, ax_load,
     jacobian : the derivatives of these four by yaw rate, then by beta
     """
     load_f, load_r = axle_loads(ax_load, car)
-    friction = max(car.friction, FRICTION_MARGIN * math.hypot(ax_load, ay_seen) / GRAVITY)
+    friction = friction_in_force(car.friction, ax_load, ay_seen)
+    sin_b, cos_b, tangent = sin_cos_tan(beta)
     alpha_f, alpha_r, af_r, af_b, ar_r, ar_b = slip_angles(
-        yaw_rate, beta, vx, steer, steer_rear, car.a, car.b
+        yaw_rate, tangent, vx, steer, steer_rear, car.a, car.b
     )
     fyf, slope_f = axle_tyre(
         car.tyre_law, alpha_f, car.stiffness_front, lateral_capacity(friction, load_f, fxf), friction
@@ -197,34 +217,40 @@ def single_track_rates(yaw_rate, beta, vx, steer, steer_rear, fxf, fxr, ax_load,
     )
     cos_f, sin_f = math.cos(steer), math.sin(steer)
     cos_r, sin_r = math.cos(steer_rear), math.sin(steer_rear)
-    cos_b, sin_b = math.cos(beta), math.sin(beta)
     yaw_acceleration, beta_rate, ax, ay = body_rates(
         fxf, fxr, fyf, fyr, vx, yaw_rate, cos_f, sin_f, cos_r, sin_r,
         cos_b, sin_b, car.mass, car.yaw_inertia, car.a, car.b,
     )  # fmt: skip
-    yaw_r, slip_r, ax_r, ay_r = body_slopes(
-        slope_f * af_r, slope_r * ar_r, vx, cos_f, sin_f, cos_r, sin_r, cos_b, sin_b,
-        car.mass, car.yaw_inertia, car.a, car.b,
-    )  # fmt: skip
-    yaw_b, slip_b, ax_b, ay_b = body_slopes(
-        slope_f * af_b, slope_r * ar_b, vx, cos_f, sin_f, cos_r, sin_r, cos_b, sin_b,
-        car.mass, car.yaw_inertia, car.a, car.b,
-    )  # fmt: skip
-    slip_r -= 1.0
-    slip_b += slip_rate_slope(ax, ay, cos_b, sin_b, vx)
+    yaw_f, slip_f, ax_f, ay_f = axle_slopes(cos_f, sin_f, car.a, vx, cos_b, sin_b, car.mass, car.yaw_inertia)
+    yaw_r, slip_r, ax_r, ay_r = axle_slopes(cos_r, sin_r, -car.b, vx, cos_b, sin_b, car.mass, car.yaw_inertia)
+    by_rate_f, by_rate_r, by_beta_f, by_beta_r = (
+        slope_f * af_r,
+        slope_r * ar_r,
+        slope_f * af_b,
+        slope_r * ar_b,
+    )
     return (
         (yaw_acceleration, beta_rate),
         (ax, ay),
-        (yaw_r, slip_r, ax_r, ay_r, yaw_b, slip_b, ax_b, ay_b),
+        (
+            yaw_f * by_rate_f + yaw_r * by_rate_r,
+            slip_f * by_rate_f + slip_r * by_rate_r - 1.0,
+            ax_f * by_rate_f + ax_r * by_rate_r,
+            ay_f * by_rate_f + ay_r * by_rate_r,
+            yaw_f * by_beta_f + yaw_r * by_beta_r,
+            slip_f * by_beta_f + slip_r * by_beta_r + slip_rate_slope(ax, ay, cos_b, sin_b, vx),
+            ax_f * by_beta_f + ax_r * by_beta_r,
+            ay_f * by_beta_f + ay_r * by_beta_r,
+        ),
     )
 
 
-@njit(cache=True)
+@inlined
 def stable_substeps(vx, dt, car):
     """Number of Euler steps that keep the stiff low-speed modes stable over dt.
 
     The eigenvalues of the linear single track are bounded by the sum of its two damping terms (eq. 26, 27).
     """
-    lateral = (car.stiffness_front + car.stiffness_rear) / (car.mass * vx)
-    yaw = (car.a**2 * car.stiffness_front + car.b**2 * car.stiffness_rear) / (car.yaw_inertia * vx)
-    return 1 + int(dt * (lateral + yaw))
+    lateral = (car.stiffness_front + car.stiffness_rear) / car.mass
+    yaw = (car.a**2 * car.stiffness_front + car.b**2 * car.stiffness_rear) / car.yaw_inertia
+    return 1 + int(dt * (lateral + yaw) / vx)

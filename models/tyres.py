@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 
-from numba import njit
+from crosscomb.models.compiled import inlined
 
 LINEAR = 0
 DUGOFF = 1
@@ -28,7 +28,7 @@ TYRE_LAWS = {
 MAX_SLIP_ANGLE = 1.45
 
 
-@njit(cache=True)
+@inlined
 def linear_tyre(slip_angle, stiffness):
     """Linear tyre, Atheupe 2023, eq. 25.
 
@@ -45,7 +45,7 @@ def linear_tyre(slip_angle, stiffness):
     return stiffness * slip_angle, stiffness
 
 
-@njit(cache=True)
+@inlined
 def dugoff_tyre(slip_angle, stiffness, capacity):
     """Dugoff tyre without longitudinal slip (Dugoff, Fancher and Segel 1970).
 
@@ -73,7 +73,7 @@ def dugoff_tyre(slip_angle, stiffness, capacity):
     return math.copysign(saturated, clipped), slope * shape * shape
 
 
-@njit(cache=True)
+@inlined
 def dugoff_by_capacity(slip_angle, stiffness, capacity):
     """Derivative of the force of `dugoff_tyre` by the capacity; 0 in the linear part of the curve.
 
@@ -95,14 +95,15 @@ LEAST_GAIN = 0.3
 """Correction of the modified Dugoff law: value without slip, its fall with slip, and where we stop it."""
 
 
-@njit(cache=True)
+@inlined
 def modified_dugoff_tyre(slip_angle, stiffness, capacity, friction):
     """Modified Dugoff tyre: Dugoff's force times a gain that falls with slip, so the curve has a peak.
 
-    gain = (friction - 1.6) tan|slip angle| + 1.155, as proposed by Bian, Chen, Luo and Li (SAE 2014-01-0123),
-    the law behind Villano 2021. Neither text is among the papers of this project: the constants are the ones
-    other publications quote. Dugoff's stiffness is divided by 1.155, so `stiffness` stays the slope at zero
-    slip; and the gain, a fit for moderate slip that would turn negative, ends at 0.3.
+    gain = (friction - 1.6) tan|slip angle| + 1.155, after Bian, Chen, Luo and Li (SAE 2014-01-0123), the law
+    behind Villano 2021. Neither text was at hand: form and constants are from memory and were not checked
+    against a source; compare them before you build on them. Dugoff's stiffness is divided by 1.155, so
+    `stiffness` stays the slope at zero slip; and the gain, a fit for moderate slip that would turn negative,
+    ends at 0.3.
 
     Parameters
     ----------
@@ -127,7 +128,7 @@ def modified_dugoff_tyre(slip_angle, stiffness, capacity, friction):
     return force * gain, slope * gain + abs(force) * fall * (1.0 + tangent * tangent)
 
 
-@njit(cache=True)
+@inlined
 def rational_tyre(slip_angle, c1, c2, friction, load_ratio):
     """Rational tyre with its derivatives by slip angle and parameters, Di Biase 2020, eq. 4.
 
@@ -151,15 +152,15 @@ def rational_tyre(slip_angle, c1, c2, friction, load_ratio):
     """
     square = slip_angle * slip_angle
     width = c1 * (friction + 1.0)
-    shape = slip_angle * width / (square + width)
-    gain = c2 * friction * load_ratio
     ratio = 1.0 / (square + width)
+    shape = slip_angle * width * ratio
+    gain = c2 * friction * load_ratio
     slope = gain * width * (width - square) * ratio * ratio
     by_c1 = gain * slip_angle * square * (friction + 1.0) * ratio * ratio
     return gain * shape, slope, by_c1, friction * load_ratio * shape
 
 
-@njit(cache=True)
+@inlined
 def rational_parameters(stiffness, friction, static_load):
     """Parameters of the rational law whose slope and peak are the stiffness and friction times load.
 
@@ -180,7 +181,7 @@ def rational_parameters(stiffness, friction, static_load):
     return peak_angle * peak_angle / (friction + 1.0), stiffness / friction
 
 
-@njit(cache=True)
+@inlined
 def axle_tyre(law, slip_angle, stiffness, capacity, friction=1.0):
     """Force and slope of an axle under the chosen tyre law (`TYRE_LAWS`).
 
@@ -198,7 +199,7 @@ def axle_tyre(law, slip_angle, stiffness, capacity, friction=1.0):
     return linear_tyre(slip_angle, stiffness)
 
 
-@njit(cache=True)
+@inlined
 def lateral_capacity(friction, load, longitudinal_force):
     """Lateral force left on the friction circle of an axle [N]; a tenth of it always remains.
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 from math import atan, sin, sqrt
 from typing import NamedTuple
 
-from numba import njit
+from crosscomb.models.compiled import inlined
 
 SLIP_STIFFNESS_RATIO = 1.4
 """Longitudinal slip stiffness over cornering stiffness, an assumption."""
@@ -42,7 +42,7 @@ class CombinedTyre(NamedTuple):
     peak_load: float
 
 
-@njit(cache=True)
+@inlined
 def combined_forces(slip_x, slip_y, load, friction, tyre):
     """Forces of a tyre at combined slip, by similarity (docs/plant.md, section 2).
 

@@ -1,6 +1,8 @@
 """Adaptive extended Kalman filters: twins on filterpy, consistency, and what adaptation may do."""
 
 import math
+from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 import pytest
@@ -250,24 +252,92 @@ def inside(total: float, degrees: int) -> None:
     assert low < total < high
 
 
-@pytest.mark.parametrize("name", ["dual_ekf", "friction_adaptive_ekf"])
-def test_innovations_of_the_motion_filters_are_as_large_as_expected(name: str) -> None:
-    noises = {"yaw_acceleration": 0.1, "slip_rate": 0.01, "yaw_rate": 0.01, "ay": 0.3, "adapt_ay": 90.0}
-    cls, settings = (
-        (DualEKF, DualNoise(**noises))
-        if name == "dual_ekf"
-        else (FrictionAdaptiveEKF, FrictionNoise(**noises))
+def matched_runs(
+    estimator: KernelFilter, steer: np.ndarray, vx: float, spread: np.ndarray
+) -> Iterator[tuple[Any, np.ndarray, np.ndarray, int, float]]:
+    """Runs of the filter's own model, with start, tyres of this spread ``(p,)`` and noise drawn.
+
+    Gives the filter's state, the true motion and tyres, the sample's number and its NIS, sample by sample.
+    """
+    noise, rng, steps = estimator.noise, np.random.default_rng(3), len(steer)
+    first = track_model.first_parameters(estimator.car.law, estimator.car.track)
+    for _ in range(RUNS):
+        state, out = estimator.make_state(), np.full(3 + len(estimator.extras), np.nan)
+        state.cov[:2, :2], state.running[0] = np.diag([noise.yaw_rate**2, FIRST_BETA_STD**2]), 1
+        state.mean[:2] = 0.0
+        at_start = rng.normal(size=2) * [noise.yaw_rate, FIRST_BETA_STD]
+        tyres = first + spread * rng.normal(size=len(first))
+        shocks = rng.normal(size=(steps, 2)) * [noise.yaw_acceleration, noise.slip_rate] * math.sqrt(DT)
+        truth, samples = own_model(estimator, steer, vx, tyres, at_start, shocks)
+        samples[:, [base.YAW_RATE, base.AY]] += rng.normal(size=(steps, 2)) * [noise.yaw_rate, noise.ay]
+        for k in range(1, steps):
+            estimator.step_kernel(state, samples[k], estimator.car, noise, DT, out)
+            yield state, truth[k], tyres, k, out[base.NIS]
+
+
+SHARP = {"yaw_acceleration": 0.1, "slip_rate": 0.01, "yaw_rate": 0.01, "ay": 0.3, "adapt_speed": 0.0}
+RUNS, FIRST_BETA_STD = 60, 0.01
+INSTANTS = (40, 80, 120)
+
+
+def test_the_friction_filter_errs_as_much_as_it_says() -> None:
+    noise = FrictionNoise(friction_walk=0.0, friction_spread=0.1, adapt_ay=0.0, **SHARP)
+    estimator, nees, nis = FrictionAdaptiveEKF(GOLF, noise), dict.fromkeys(INSTANTS, 0.0), []
+    certainty = []
+    for state, motion, tyres, k, of_sample in matched_runs(
+        estimator, slalom(1.21, 0.05), 22.0, np.array([0.1])
+    ):
+        nis.append(of_sample)
+        if k in nees:
+            error = np.append(motion, tyres) - state.mean
+            nees[k] += error @ np.linalg.solve(state.cov, error)
+            certainty.append(state.cov[2, 2])
+    for total in nees.values():
+        inside(total, 3 * RUNS)
+    inside(np.sum(nis), 2 * len(nis))
+    assert np.sqrt(certainty[2::3]).mean() < 0.085, "it has learned of the friction"
+
+
+def dual_sums(estimator: DualEKF, steer: np.ndarray, vx: float, spread: np.ndarray) -> np.ndarray:
+    """Summed NEES of the motion without and with the doubt about the tyres, and of the tyres ``(3, instants)``.
+
+    In the last column the NIS, per measurement, and their number.
+    """
+    sums = np.zeros((3, len(INSTANTS) + 1))
+    for state, motion, tyres, k, of_sample in matched_runs(estimator, steer, vx, spread):
+        sums[:2, -1] += of_sample, 2.0
+        if k in INSTANTS:
+            error, off = motion - state.mean, tyres - state.tyres
+            whole = state.cov + state.sensitivity @ state.tyre_cov @ state.sensitivity.T
+            sums[:, INSTANTS.index(k)] += (
+                error @ np.linalg.solve(state.cov, error),
+                error @ np.linalg.solve(whole, error),
+                off @ np.linalg.solve(state.tyre_cov, off),
+            )
+    return sums
+
+
+def test_the_dual_filter_errs_as_much_as_it_says() -> None:
+    noise = DualNoise(parameter_walk=0.0, parameter_spread=0.1, parameter_range=3.0, adapt_ay=0.0, **SHARP)
+    estimator = DualEKF(GOLF, noise)
+    spread = estimator.make_state().limits.spread
+    motion_alone, motion, tyres = dual_sums(estimator, slalom(1.21, 0.09), 15.0, spread)
+    for total in motion[:-1]:
+        inside(total, 2 * RUNS)
+    for total in tyres[:-1]:
+        inside(total, 4 * RUNS)
+    inside(motion_alone[-1], int(motion[-1]))
+    assert motion_alone[:-1].max() > chi2.ppf(0.9995, 2 * RUNS), (
+        "without the tyres' doubt it would be too sure"
     )
-    estimator = cls(GOLF, settings)
-    rng = np.random.default_rng(10)
-    steps, nis = 1500, []
-    shocks = rng.normal(size=(steps, 2)) * [0.1, 0.01] * math.sqrt(DT)
-    _, samples = own_model(estimator, slalom(steps * DT, 0.02), 22.0, shocks=shocks)
-    samples[:, base.YAW_RATE] += 0.01 * rng.normal(size=steps)
-    samples[:, base.AY] += 0.3 * rng.normal(size=steps)
-    result = estimator.run(Inputs(DT, samples))
-    nis = result.nis[300:]
-    inside(nis.sum(), 2 * len(nis))
+
+
+def test_the_dual_filter_on_tyres_it_knows_errs_as_much_as_it_says() -> None:
+    estimator = DualEKF(GOLF, DualNoise(parameter_spread=1e-9, adapt_ay=90.0, **SHARP))
+    motion_alone, motion, _ = dual_sums(estimator, slalom(1.21, 0.02), 22.0, np.zeros(4))
+    for total in motion_alone[:-1]:
+        inside(total, 2 * RUNS)
+    inside(motion_alone[-1], int(motion[-1]))
 
 
 # --- adaptation -------------------------------------------------------------------------------------------

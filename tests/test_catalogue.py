@@ -75,6 +75,51 @@ def test_settings_survive_a_json_file(name):
         make_filter(name, CAR, {"no_such_setting": 1.0})
 
 
+def zeroed(settings, path=()):
+    """Settings with one number set to zero, for each of them, with its place."""
+    for key, value in settings.items():
+        if isinstance(value, dict):
+            for place, inner in zeroed(value, (*path, key)):
+                yield place, {key: inner}
+        elif isinstance(value, float):
+            yield (*path, key), {key: 0.0}
+
+
+@pytest.mark.parametrize("name", CATALOGUE)
+def test_a_setting_of_zero_is_refused_in_one_line_or_harmless(name, inputs):
+    short, refused = replace(inputs, samples=inputs.samples[350:800]), {}
+    for place, settings in zeroed(settings_of(quick(name))):
+        if place[0] == "network":
+            continue
+        few = {"particles": 50} if "particles" in settings_of(quick(name)) else {}
+        try:
+            beta = make_filter(name, CAR, few | settings).run(short).beta
+        except UsageError as error:
+            refused[".".join(place)] = str(error)
+        else:
+            assert np.isfinite(beta).all(), place
+    assert all(place in text and "\n" not in text for place, text in refused.items())
+
+
+def test_settings_beyond_reason_are_refused():
+    for name, settings, words in (
+        ("random_walk_pf", {"particles": 2_000_000}, "must be a whole number from 1 to 1000000"),
+        ("adaptive_pf", {"most_particles": 10**12}, "most_particles"),
+        ("kinematic_pf", {"particles": float("inf")}, "particles"),
+        (
+            "random_walk_pf",
+            {"noise": {"pseudo": 0.0}},
+            "noise.pseudo: 0.0 must be at least 1e-09: the filter",
+        ),
+        ("random_walk_pf", {"noise": {"ekf": {"ay": 1e-200}}}, "noise.ekf.ay"),
+        ("kinematic_kf", {"noise": {"speed": 0}}, "noise.speed"),
+    ):
+        with pytest.raises(UsageError) as caught:
+            make_filter(name, CAR, settings)
+        assert words in str(caught.value)
+    assert make_filter("kinematic_kf", CAR, {"noise": {"relaxation": 0.0}}).noise.relaxation == 0.0
+
+
 @pytest.mark.parametrize("name", CATALOGUE)
 def test_every_entry_says_what_it_is_and_where_it_is_from(name):
     entry = CATALOGUE[name]

@@ -202,10 +202,12 @@ def test_kinematic_model_of_the_bank_follows_the_kinematic_equation() -> None:
     assert (state.mean[1] + 0.1) / 1e-4 == pytest.approx(beta_dot, rel=1e-6)
 
 
-# Monte Carlo: on drives of the IMM's own jumping models its error is as large as it says.
+# Monte Carlo: on drives of their own models the errors are as large as they say; the IMM's jump, the MMAE's do not.
 
 
-def jumping_drive(estimator: IMM, rng: np.random.Generator, steps: int) -> tuple[np.ndarray, np.ndarray]:
+def jumping_drive(
+    estimator: IMM | MMAE, rng: np.random.Generator, steps: int
+) -> tuple[np.ndarray, np.ndarray]:
     noise, cars = estimator.noise.dynamic, (estimator.car.high, estimator.car.low)
     shares, stay = np.array(model_shares(estimator.noise)[:2]), math.exp(-DT / estimator.noise.stay)
     samples, truth = np.full((steps, SAMPLE_WIDTH), np.nan), np.zeros((steps, 2))
@@ -226,16 +228,18 @@ def jumping_drive(estimator: IMM, rng: np.random.Generator, steps: int) -> tuple
     return samples, truth
 
 
-def test_imm_errors_are_as_large_as_it_says() -> None:
+@pytest.mark.parametrize(("kind", "stay"), [(IMM, 2.0), (MMAE, 1e9)])
+def test_errors_of_the_banks_are_as_large_as_they_say(kind: type[IMM | MMAE], stay: float) -> None:
     noise = ModelNoise(
         correlation=0.0,
         kinematic_share=0.0,
         low_share=0.3,
-        stay=2.0,
+        stay=stay,
+        floor=1e-12,  # a floor gives models a say that these drives do not have
         dynamic=DynamicNoise(0.3, 0.05, 0.01, 1.0),
     )
     # The friction margin sees the measured ay, the drive does not: low friction is above it all the same.
-    estimator, rng, runs, steps = IMM(GOLF, noise, low_friction=0.6), np.random.default_rng(8), 150, 150
+    estimator, rng, runs, steps = kind(GOLF, noise, low_friction=0.6), np.random.default_rng(8), 150, 150
     nees = 0.0
     for _ in range(runs):
         samples, truth = jumping_drive(estimator, rng, steps)

@@ -5,6 +5,7 @@ Normalised errors squared are chi-square distributed (Bar-Shalom, Li and Kirubar
 
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,10 +19,13 @@ from crosscomb.filters.base import (
     STEER,
     VX,
     YAW_RATE,
+    Inputs,
     KernelFilter,
 )
 from crosscomb.filters.dynamic_ekf import DynamicEKF, DynamicNoise
+from crosscomb.filters.dynamic_pf import DynamicPF
 from crosscomb.filters.kinematic_kf import KinematicKF, KinematicNoise
+from crosscomb.filters.kinematic_pf import KinematicPF
 from crosscomb.filters.random_walk_pf import (
     ParticleNoise,
     RandomWalkPF,
@@ -46,6 +50,7 @@ DUGOFF_EKF = replace(LINEAR_EKF, tyre="dugoff")
 PF = RandomWalkPF(GOLF, ParticleNoise(force=1.0, pseudo=0.005), particles=2000)
 
 Drive = tuple[np.ndarray, np.ndarray]  # samples (STEPS, 10) and true states (STEPS, 2)
+Draw = Callable[[np.random.Generator, Any, Any], np.ndarray]
 
 
 def turn(ay: float) -> np.ndarray:
@@ -59,35 +64,46 @@ def turn(ay: float) -> np.ndarray:
     return samples
 
 
-def kinematic_drive(rng: np.random.Generator) -> Drive:
+def normal(rng: np.random.Generator, centre: Any, std: Any) -> np.ndarray:
+    """Random numbers as the Kalman filters think of them."""
+    return rng.normal(centre, std)
+
+
+def uniform(rng: np.random.Generator, centre: Any, std: Any) -> np.ndarray:
+    """The same as the particle filters draw them."""
+    half = np.sqrt(3.0) * np.asarray(std)
+    return rng.uniform(np.asarray(centre) - half, np.asarray(centre) + half)
+
+
+def kinematic_drive(rng: np.random.Generator, draw: Draw = normal) -> Drive:
     """A drive of the kinematic model; what the accelerometers miss is white noise on the velocity."""
     noise, samples = KF.noise, turn(6.0)
     truth = np.empty((STEPS, 2))
     rolling = slip_of_rolling_rear(samples[0, STEER], 0.0, KF.car.a, KF.car.b)
-    truth[0] = rng.normal([20.0, 20.0 * np.tan(rolling)], [noise.speed, 20.0 * LOW_SPEED_STD])
+    truth[0] = draw(rng, [20.0, 20.0 * np.tan(rolling)], [noise.speed, 20.0 * LOW_SPEED_STD])
     for k in range(1, STEPS):
         ax, ay, yaw_rate = samples[k, [AX, AY, YAW_RATE]]
         held = np.reshape(input_gain(yaw_rate, DT), (2, 2)) @ [ax, ay]
         straight = np.exp(-((yaw_rate / noise.turning) ** 2))
         forget = np.diag([1.0, np.exp(-noise.relaxation * straight * DT)])
         turned = np.reshape(rotation(yaw_rate, DT), (2, 2)) @ forget @ truth[k - 1]
-        truth[k] = turned + held + rng.normal(0.0, noise.accel * np.sqrt(DT), 2)
+        truth[k] = draw(rng, turned + held, np.full(2, noise.accel * np.sqrt(DT)))
         samples[k, VX] = truth[k, 0] + rng.normal(0.0, noise.speed)
     return samples, truth
 
 
-def dynamic_drive(rng: np.random.Generator, estimator: DynamicEKF) -> Drive:
+def dynamic_drive(rng: np.random.Generator, estimator: DynamicEKF, draw: Draw = normal) -> Drive:
     """A drive of the single track with white noise on its rates and on its measurements."""
     noise, car, samples = estimator.noise, estimator.car, turn(3.0)
     truth = np.empty((STEPS, 2))
     rolling = slip_of_rolling_rear(samples[0, STEER], 0.0, car.a, car.b)
-    truth[0] = rng.normal([samples[0, YAW_RATE], rolling], [noise.yaw_rate, LOW_SPEED_STD])
+    truth[0] = draw(rng, [samples[0, YAW_RATE], rolling], [noise.yaw_rate, LOW_SPEED_STD])
     assert stable_substeps(20.0, DT, car) == 1
     for k in range(1, STEPS):
         given = (20.0, samples[k, STEER], 0.0, 0.0, 0.0, 0.0, 0.0)
         rates, _, _ = single_track_rates(*truth[k - 1], *given, car)
-        shaken = rng.normal(0.0, [noise.yaw_acceleration * np.sqrt(DT), noise.slip_rate * np.sqrt(DT)])
-        truth[k] = truth[k - 1] + DT * np.array(rates) + shaken
+        walk = np.sqrt(DT) * np.array([noise.yaw_acceleration, noise.slip_rate])
+        truth[k] = draw(rng, truth[k - 1] + DT * np.array(rates), walk)
         _, (_, ay), _ = single_track_rates(*truth[k], *given, car)
         samples[k, [YAW_RATE, AY]] = rng.normal([truth[k, 0], ay], [noise.yaw_rate, noise.ay])
     return samples, truth
@@ -201,3 +217,37 @@ def test_particle_filter_is_consistent() -> None:
 
 def test_a_particle_filter_that_is_too_sure_is_seen() -> None:
     assert not particle_consistency(replace(PF, noise=PF.noise._replace(pseudo=0.0025)))
+
+
+TWO_STATES = {
+    "kinematic_pf": (
+        KinematicPF(GOLF, KF.noise),
+        lambda rng: kinematic_drive(rng, uniform),
+        lambda x: np.arctan2(x[:, 1], x[:, 0]),
+    ),
+    "dynamic_pf": (
+        DynamicPF(GOLF, DUGOFF_EKF.noise),
+        lambda rng: dynamic_drive(rng, DUGOFF_EKF, uniform),
+        lambda x: x[:, 1],
+    ),
+}
+
+
+def nees_of_beta(name: str, **wrong: float) -> np.ndarray:
+    """Summed NEES of beta at four instants, of a particle filter on a model of two states."""
+    estimator, drive, slip = TWO_STATES[name]
+    rng, instants = np.random.default_rng(13), [40, 80, 120, 160]
+    nees = np.zeros(len(instants))
+    for run in range(PARTICLE_RUNS):
+        samples, truth = drive(rng)
+        seeded = replace(estimator, seed=run, noise=estimator.noise._replace(**wrong))
+        estimate = seeded.run(Inputs(DT, samples))
+        nees += (((slip(truth) - estimate.beta) / estimate.beta_std) ** 2)[instants]
+    return nees
+
+
+@pytest.mark.parametrize(("name", "wrong"), [("kinematic_pf", "accel"), ("dynamic_pf", "slip_rate")])
+def test_particle_filters_of_two_states_are_consistent(name: str, wrong: str) -> None:
+    assert within_bounds(nees_of_beta(name), PARTICLE_RUNS)
+    halved = 0.5 * getattr(TWO_STATES[name][0].noise, wrong)
+    assert not within_bounds(nees_of_beta(name, **{wrong: halved}), PARTICLE_RUNS)

@@ -43,7 +43,7 @@ def jacobian_of(function, state: np.ndarray, steps: np.ndarray) -> np.ndarray:
 def saturations(state: np.ndarray, given: tuple, car: SingleTrack) -> tuple[bool, bool]:
     """Tell of both axles whether they are beyond the linear part of Dugoff's law."""
     vx, steer, steer_rear, fxf, fxr, ax_load, ay_seen = given
-    front, rear, *_ = slip_angles(*state, vx, steer, steer_rear, car.a, car.b)
+    front, rear, *_ = slip_angles(state[0], math.tan(state[1]), vx, steer, steer_rear, car.a, car.b)
     load_f, load_r = axle_loads(ax_load, car)
     friction = max(car.friction, FRICTION_MARGIN * math.hypot(ax_load, ay_seen) / GRAVITY)
     return (
@@ -88,7 +88,7 @@ def test_random_walk_jacobian_is_the_derivative_of_the_rates() -> None:
 def test_both_force_models_are_the_same_body() -> None:
     car = single_track(GOLF, "linear")
     yaw_rate, beta, vx, steer, steer_rear, fxf, fxr = 0.4, -0.1, 17.0, 0.06, -0.02, 900.0, -400.0
-    front, rear, *_ = slip_angles(yaw_rate, beta, vx, steer, steer_rear, car.a, car.b)
+    front, rear, *_ = slip_angles(yaw_rate, math.tan(beta), vx, steer, steer_rear, car.a, car.b)
     state = np.array([yaw_rate, beta, fxf, fxr, car.stiffness_front * front, car.stiffness_rear * rear])
     rates, measurements, _ = single_track_rates(
         yaw_rate, beta, vx, steer, steer_rear, fxf, fxr, 0.0, 0.0, car

@@ -32,6 +32,7 @@ from crosscomb.filters.base import (
 )
 from crosscomb.filters.catalogue import CATALOGUE, make_filter
 from crosscomb.filters.cubature import (
+    HORIZON_PRIOR,
     LEAST_WEIGHT,
     CubatureHybridKF,
     CubatureRecedingHorizonKF,
@@ -409,17 +410,20 @@ def shaken_drives(track: str) -> list[tuple[np.ndarray, np.ndarray]]:
     return [shaken_drive(rng, FirstOrderEKF(GOLF, noise=SHARP, track=track)) for _ in range(RUNS)]
 
 
-def shaken_drive(rng: np.random.Generator, estimator: PlanarFilter) -> tuple[np.ndarray, np.ndarray]:
+def shaken_drive(
+    rng: np.random.Generator, estimator: PlanarFilter, steps: int = STEPS, first_std: float = LOW_SPEED_STD
+) -> tuple[np.ndarray, np.ndarray]:
+    """One such drive; `first_std` [rad] is that of the first beta."""
     noise, car, contact = estimator.noise, estimator.car, contacts()
-    samples, truth = np.zeros((STEPS, SAMPLE_WIDTH)), np.empty((STEPS, 3))
+    samples, truth = np.zeros((steps, SAMPLE_WIDTH)), np.empty((steps, 3))
     samples[:, VFL:] = np.nan
-    samples[:, STEER] = 0.02 + 0.01 * np.sin(4.0 * DT * np.arange(STEPS))
+    samples[:, STEER] = 0.02 + 0.01 * np.sin(4.0 * DT * np.arange(steps))
     rolling = slip_of_rolling_rear(samples[0, STEER], 0.0, car.a, car.b)
     samples[0, [VX, YAW_RATE]] = 20.0, 0.15
     at_start = np.array([20.0, 20.0 * np.tan(rolling), 0.15])
-    truth[0] = rng.normal(at_start, [noise.speed, 20.0 * LOW_SPEED_STD, noise.yaw_rate])
+    truth[0] = rng.normal(at_start, [noise.speed, 20.0 * first_std, noise.yaw_rate])
     walk = np.sqrt(DT) * np.array([noise.u_rate, noise.v_rate, noise.yaw_acceleration])
-    for k in range(1, STEPS):
+    for k in range(1, steps):
         sample, errors, shake = samples[k], rng.normal(0.0, [noise.ax, noise.ay]), rng.normal(0.0, walk)
         for _ in range(4):  # loads follow from the measured accelerations, and these from the loads
             set_contacts(contact, *sample[[STEER, STEER_REAR, FXF, FXR, AX, AY]], car)
@@ -434,14 +438,20 @@ def shaken_drive(rng: np.random.Generator, estimator: PlanarFilter) -> tuple[np.
     return samples, np.arctan2(truth[:, 1], truth[:, 0])
 
 
-def consistency(estimator: PlanarFilter, first: int = 1) -> tuple[np.ndarray, float]:
+def consistency(
+    estimator: PlanarFilter,
+    first: int = 1,
+    drives: list[tuple[np.ndarray, np.ndarray]] | None = None,
+    instants: list[int] = INSTANTS,
+) -> tuple[np.ndarray, float]:
     """Where in its chi-square distribution the NEES at instants and the NIS of samples from first on lie."""
-    nees, nis = np.zeros(len(INSTANTS)), 0.0
-    for samples, beta in shaken_drives(estimator.track):
+    nees, nis, count = np.zeros(len(instants)), 0.0, 0
+    for samples, beta in drives or shaken_drives(estimator.track):
         estimate = estimator.run(Inputs(DT, samples))
         nis += estimate.nis[first:].sum()
-        nees += (((beta - estimate.beta) / estimate.beta_std) ** 2)[INSTANTS]
-    return chi2.cdf(nees, RUNS), float(chi2.cdf(nis, 5 * RUNS * (STEPS - first)))
+        count += 5 * len(estimate.nis[first:])
+        nees += (((beta - estimate.beta) / estimate.beta_std) ** 2)[instants]
+    return chi2.cdf(nees, RUNS), float(chi2.cdf(nis, count))
 
 
 CONSISTENT = [name for name in FILTERS if not name.startswith("cubature")]
@@ -460,13 +470,32 @@ def test_a_filter_that_is_too_sure_is_seen() -> None:
     assert nis > 0.9995
 
 
-@pytest.mark.parametrize("kind", [CubatureRecedingHorizonKF, CubatureHybridKF])
-def test_filters_with_a_horizon_are_no_more_sure_than_they_may_be(kind: type[PlanarFilter]) -> None:
-    # Each horizon begins with a prior that is made up, wide, and so bent by the tyres: not consistent until
-    # the first horizon is full, and rather too wide than too narrow from then on.
-    nees, nis = consistency(kind(GOLF, noise=SHARP), first=31)
-    assert np.all(nees < 0.9995), nees
-    assert nis < 0.9995
+HORIZONS = pytest.mark.parametrize("kind", [CubatureRecedingHorizonKF, CubatureHybridKF])
+
+
+@HORIZONS
+def test_errors_within_the_first_horizon_are_as_large_as_the_filter_says(kind: type[PlanarFilter]) -> None:
+    """Truth drawn from the prior of a horizon, on tyres that stay nearly linear over so wide a prior."""
+    estimator = kind(GOLF.model_copy(update={"friction": 6.0}), noise=SHARP)
+    rng = np.random.default_rng(7)
+    drives = [shaken_drive(rng, estimator, 31, HORIZON_PRIOR) for _ in range(RUNS)]
+    nees, nis = consistency(estimator, drives=drives, instants=[5, 10, 20, 30])
+    assert np.all((nees > 0.0005) & (nees < 0.9995)), nees
+    assert 0.0005 < nis < 0.9995
+
+
+@HORIZONS
+def test_errors_once_the_horizon_is_full_are_as_large_as_the_filter_says(kind: type[PlanarFilter]) -> None:
+    nees, nis = consistency(kind(GOLF, noise=SHARP), first=31, instants=[40, 80, 120])
+    assert np.all((nees > 0.0005) & (nees < 0.9995)), nees
+    assert 0.0005 < nis < 0.9995
+
+
+def test_a_horizon_that_is_too_sure_is_seen() -> None:
+    wrong = CubatureRecedingHorizonKF(GOLF, noise=SHARP._replace(v_rate=0.1, ay=0.2))
+    nees, nis = consistency(wrong, first=31, instants=[40, 80, 120])
+    assert nees.max() > 0.9995
+    assert nis > 0.9995
 
 
 # What else users rely on.
