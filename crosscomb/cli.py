@@ -9,6 +9,18 @@ from typing import Annotated
 import typer
 
 from crosscomb import __version__
+from crosscomb.cli_options import (
+    FiltersOption,
+    JobsOption,
+    MapOption,
+    SeedOption,
+    SelectorFileOption,
+    TunedOption,
+    VehicleOption,
+)
+from crosscomb.cli_options import existing_files as _existing
+from crosscomb.cli_options import filter_names as _names
+from crosscomb.cli_tune import tune
 from crosscomb.errors import UsageError
 
 app = typer.Typer(
@@ -17,38 +29,6 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     help="Virtual sensor for the vehicle sideslip angle.",
 )
-
-VehicleOption = Annotated[
-    str | None, typer.Option("--vehicle", help="Vehicle file (TOML), or the name of a shipped one.")
-]
-MapOption = Annotated[
-    Path | None, typer.Option("--map", help="Channel map (TOML) for foreign names and units.")
-]
-SelectorFileOption = Annotated[
-    Path | None,
-    typer.Option("--selector-file", help="Artefact of `crosscomb train`; default: the one shipped."),
-]
-FiltersOption = Annotated[
-    str | None, typer.Option("--filters", help="Estimators by name, a,b,c, or all; see `crosscomb filters`.")
-]
-SeedOption = Annotated[
-    int, typer.Option("--seed", min=0, help="The same seed gives the same result bit for bit.")
-]
-JobsOption = Annotated[int, typer.Option("--jobs", min=1, help="Processes; does not change the result.")]
-
-
-def _names(filters: str | None) -> list[str]:
-    """Take the names in a --filters option apart; `all` is the whole catalogue."""
-    if filters is None:
-        return []
-    if filters.strip() == "all":
-        from crosscomb.filters.catalogue import CATALOGUE
-
-        return list(CATALOGUE)
-    names = [name.strip() for name in filters.split(",") if name.strip()]
-    if not names:
-        raise UsageError("--filters: names no estimator: `crosscomb filters` lists them")
-    return names
 
 
 def main() -> None:
@@ -69,11 +49,6 @@ def main() -> None:
         print(f"error: {error.format_message()} (see --help)", file=sys.stderr)
         sys.exit(2)
     sys.exit(code if isinstance(code, int) else 0)
-
-
-def _existing(*paths: str | Path | None) -> list[Path]:
-    """Those that are files: a vehicle may also be the name of a shipped one."""
-    return [Path(path) for path in paths if path is not None and Path(path).is_file()]
 
 
 def _version(asked: bool) -> None:
@@ -164,6 +139,9 @@ def simulate(
     terminal.say(f"{out_dir}: {len(paths)} logs of {car.name}, what is in them stands in dataset.json")
 
 
+app.command()(tune)
+
+
 @app.command()
 def train(
     data_dir: Annotated[
@@ -180,6 +158,10 @@ def train(
     channel_map: MapOption = None,
     jobs: JobsOption = 2,
     filters: FiltersOption = None,
+    tuned: TunedOption = None,
+    tune_budget: Annotated[
+        int, typer.Option("--tune-budget", min=0, max=1000, help="Evaluations to tune noise with; 0: none.")
+    ] = 12,
 ) -> None:
     """Train a selector, cross-validate it, and write the artefact and its report."""
     from crosscomb import terminal
@@ -192,6 +174,8 @@ def train(
     from crosscomb.training.recordings import find_places, read_recordings, require_enough
     from crosscomb.training.train import require_filters, steps
     from crosscomb.training.train import train as run_training
+    from crosscomb.training.tune_first import say_tuned
+    from crosscomb.tuned import load_tuned, require_used
 
     if selector not in SELECTORS:
         raise UsageError(f"--selector {selector}: unknown: take one of {', '.join(SELECTORS)}")
@@ -199,6 +183,8 @@ def train(
         raise UsageError(f"{output}: an artefact is a JSON file: let its name end in .json")
     names = _names(filters) or list(DEFAULT_FILTERS)
     require_filters(names)
+    given = load_tuned(tuned) if tuned else None
+    require_used(given, names, tuned)
     signs = load_map(channel_map) if channel_map else None
     with terminal.progress("reading", sum(len(logs) for _, logs in find_places(data_dir))) as advance:
         recordings, notes = read_recordings(data_dir, vehicle, signs, advance)
@@ -206,18 +192,23 @@ def train(
         terminal.warn(note)
     require_enough(recordings, data_dir)
     cars = [] if vehicle else sorted({r.path.with_name("vehicle.toml") for r in recordings})
-    inputs = [*_existing(vehicle, channel_map), *cars, *(r.path for r in recordings)]
+    inputs = [*_existing(vehicle, channel_map, tuned), *cars, *(r.path for r in recordings)]
     record_file = output.with_suffix(".run.json")
     refuse_overwriting(inputs, [output, record_file, *beside_artefact(output)])
     with terminal.progress("training", steps(recordings, selector)) as advance:
-        training = run_training(recordings, selector, folds, seed, rate, jobs, advance, names)
+        training = run_training(
+            recordings, selector, folds, seed, rate, jobs, advance, names, given, tune_budget
+        )
     save_artefact(training.artefact, output)
     paths = write_training(training, output, notes)
     settings = {
         "selector": selector, "folds": folds, "seed": seed, "rate": rate, "vehicle": vehicle, "filters": names,
+        "tuned": str(tuned) if tuned else None, "tune_budget": tune_budget,
     }  # fmt: skip
     write_json(record_file, run_record("train", settings, inputs))
 
+    for line in say_tuned(training.artefact.filters, tune_budget):
+        terminal.say(line)
     for part, evaluation in training.evaluations.items():
         count = len(evaluation.table)
         terminal.show_scores(f"{part}: {count} recordings", evaluation.rmse, evaluation.largest)
@@ -241,6 +232,7 @@ def estimate(
         bool, typer.Option("--plot", help="Also draw beta, its band and the active filter.")
     ] = False,
     filters: FiltersOption = None,
+    tuned: TunedOption = None,
 ) -> None:
     """Estimate the sideslip angle of logs; with ground truth in them, also score it."""
     from crosscomb import terminal
@@ -249,10 +241,13 @@ def estimate(
     from crosscomb.estimate import estimate_log, name_filters, open_logs, write_estimate
     from crosscomb.files import run_record, write_json
     from crosscomb.training.metrics import score_log
+    from crosscomb.tuned import load_tuned, require_used
 
     artefact = load_artefact(selector_file)
     names = _names(filters)
     name_filters(names, artefact)
+    given = load_tuned(tuned) if tuned else None
+    require_used(given, names or artefact.filter_names, tuned)
     signs = load_map(channel_map) if channel_map else None
     with terminal.progress("reading", len(logs)) as advance:
         opened = open_logs(logs, artefact, vehicle, signs, output, advance)
@@ -261,14 +256,15 @@ def estimate(
     scores, notes = {}, []
     with terminal.progress("estimating", len(opened)) as advance:
         for log in opened:
-            result = estimate_log(log.signals, log.vehicle, artefact, names or None)
+            result = estimate_log(log.signals, log.vehicle, artefact, names or None, given)
             name = log.signals.name
             write_estimate(result, output / f"{name}.estimate.csv")
             settings = {
                 "artefact": str(selector_file or "shipped"), "vehicle": log.vehicle.model_dump(),
                 "vehicle_from": log.origin, "filters": list(result.filters), "notes": list(result.signals.notes),
+                "tuned": str(tuned) if tuned else None,
             }  # fmt: skip
-            inputs = [log.path, *_existing(selector_file, channel_map, log.origin)]
+            inputs = [log.path, *_existing(selector_file, channel_map, tuned, log.origin)]
             write_json(output / f"{name}.run.json", run_record("estimate", settings, inputs))
             if plot:
                 from crosscomb.report import plot_estimate
@@ -331,6 +327,7 @@ def benchmark(
     ] = None,
     jobs: JobsOption = 2,
     filters: FiltersOption = None,
+    tuned: TunedOption = None,
 ) -> None:
     """Print accuracy and speed of all estimators."""
     from crosscomb import terminal
@@ -339,6 +336,7 @@ def benchmark(
     from crosscomb.results import write_benchmark, write_papers
     from crosscomb.training import benchmark as suites
     from crosscomb.training.recordings import find_places
+    from crosscomb.tuned import load_tuned, require_used, with_tuned
 
     artefact = load_artefact(selector_file)
     if suite == "papers":
@@ -356,6 +354,11 @@ def benchmark(
             write_papers(output, tables)
         return
     beside = name_filters([name for name in _names(filters) if name not in artefact.filter_names], artefact)
+    if tuned is not None:
+        given = load_tuned(tuned)
+        require_used(given, [*artefact.filter_names, *(entry.name for entry in beside)], tuned)
+        beside = with_tuned(beside, given)
+        artefact = artefact.model_copy(update={"filters": with_tuned(artefact.filters, given)})
     if suite == "real":
         if data is None:
             raise UsageError("benchmark real: needs the folder of the logs: give --data")

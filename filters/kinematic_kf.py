@@ -121,5 +121,6 @@ class KinematicKF(KernelFilter):
 
     noise: KinematicNoise = KinematicNoise()
 
+    told_by_likelihood = ("accel", "speed", "relaxation")
     step_kernel = staticmethod(kinematic_step)
     run_kernel = staticmethod(kinematic_run)
