@@ -20,7 +20,8 @@ from crosscomb.training.presets import plan_jobs
 from crosscomb.training.recordings import Recording
 from crosscomb.training.simulate import simulate_log
 from crosscomb.training.train import RATE, default_filters
-from crosscomb.training.tune import ERROR, prepare, score_logs, tune
+from crosscomb.training.tune import tune
+from crosscomb.training.tune_scores import ERROR, prepare, score_logs
 
 LOGS, LENGTH, BAR = 10, 60.0, 180.0
 

@@ -23,7 +23,8 @@ from crosscomb.models.vehicle import Vehicle
 from crosscomb.training.benchmark import SHARED_SET
 from crosscomb.training.recordings import Recording, read_recordings
 from crosscomb.training.train import RATE, default_filters
-from crosscomb.training.tune import ERROR, prepare, score_logs, tune
+from crosscomb.training.tune import tune
+from crosscomb.training.tune_scores import ERROR, prepare, score_logs
 
 DIVERGED = 15.0
 """RMSE [deg] from which a filter counts as diverged: the largest sideslip angle of the set is 11 deg."""

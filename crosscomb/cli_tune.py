@@ -47,7 +47,7 @@ def tune(
     from crosscomb.channel_map import load_map
     from crosscomb.files import file_hash, refuse_overwriting, run_record, write_json
     from crosscomb.filters.catalogue import DEFAULT_FILTERS
-    from crosscomb.training import tune as tuning_module
+    from crosscomb.training import tune as search
     from crosscomb.training.recordings import find_places, read_recordings
     from crosscomb.training.train import default_filters
     from crosscomb.tuned import save_tuned
@@ -55,11 +55,11 @@ def tune(
 
     if output.suffix != ".json":
         raise UsageError(f"{output}: tuned noise is a JSON file: let its name end in .json")
-    if by not in (None, tuning_module.ERROR, tuning_module.LIKELIHOOD):
+    if by not in (None, "error", "likelihood"):
         raise UsageError(f"--by {by}: unknown: take error or likelihood")
     names = filter_names(filters) or list(DEFAULT_FILTERS)
     for name in names:
-        tuning_module.require_tunable(name, by or tuning_module.ERROR)
+        search.require_tunable(name, by or "error")
         if names.count(name) > 1:
             raise UsageError(f"--filters {name}: named twice: name it once")
     signs = load_map(channel_map) if channel_map else None
@@ -76,9 +76,9 @@ def tune(
     inputs = [*existing_files(vehicle, channel_map), *cars, *(r.path for r in recordings)]
     record_file = output.with_suffix(".run.json")
     refuse_overwriting(inputs, [output, record_file, *beside_tuned(output)])
-    steps = tuning_module.searches(len(names), len(recordings), folds)
+    steps = search.searches(len(names), len(recordings), folds)
     with terminal.progress(f"tuning by {by}", steps) as advance:
-        tuning = tuning_module.tune(
+        tuning = search.tune(
             recordings, default_filters(recordings[0].vehicle, names), rate,
             by=by, evaluations=evaluations, folds=folds, seed=seed, jobs=jobs, progress=advance,
         )  # fmt: skip

@@ -15,7 +15,8 @@ from crosscomb import terminal
 from crosscomb.files import versions, write_file, write_text
 from crosscomb.report import COLOURS, save_figure
 from crosscomb.results import markdown_table
-from crosscomb.training.tune import ERROR, FilterTuning, Tuning
+from crosscomb.training.tune import FilterTuning, Tuning
+from crosscomb.training.tune_scores import ERROR
 from crosscomb.tuned import Tuned, TunedNoise
 
 COLUMNS = ("before", "tuned on other logs", "tuned on all logs")
@@ -141,7 +142,8 @@ def tuning_figure(tuning: Tuning) -> Figure:
     for (scores, factors), each in zip(axes, tuning.filters, strict=True):
         _draw_scores(scores, tuning, each)
         _draw_factors(factors, each)
-    axes[0, 0].legend(loc="lower right", fontsize=8)
+    marks, labels = axes[0, 0].get_legend_handles_labels()
+    figure.legend(marks, labels, loc="outside upper left", ncols=len(COLUMNS), fontsize=9, frameon=False)
     return figure
 
 

@@ -26,17 +26,9 @@ from crosscomb.training import tune as tune_module
 from crosscomb.training.noise import RANGE, noise_space
 from crosscomb.training.recordings import Recording
 from crosscomb.training.surrogate import minimise
-from crosscomb.training.tune import (
-    ERROR,
-    LIKELIHOOD,
-    TuneLog,
-    is_tunable,
-    losses,
-    prepare,
-    score_logs,
-    tune,
-)
+from crosscomb.training.tune import is_tunable, tune
 from crosscomb.training.tune_first import tuned_entries
+from crosscomb.training.tune_scores import ERROR, LIKELIHOOD, TuneLog, losses, prepare, score_logs
 from crosscomb.tuned import Tuned, TunedNoise, load_tuned, save_tuned, with_tuned
 
 GOLF = load_vehicle("golf_gti_2018")

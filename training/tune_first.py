@@ -11,7 +11,8 @@ from crosscomb.artefact import FilterSettings
 from crosscomb.filters.catalogue import make_filter, settings_of
 from crosscomb.models.vehicle import load_vehicle
 from crosscomb.training.recordings import Recording
-from crosscomb.training.tune import ERROR, is_tunable, tune
+from crosscomb.training.tune import is_tunable, tune
+from crosscomb.training.tune_scores import ERROR
 from crosscomb.tuned import Tuned
 
 MOST_RECORDINGS = 10
