@@ -12,12 +12,13 @@ from crosscomb.filters.catalogue import make_filter, settings_of
 from crosscomb.models.vehicle import load_vehicle
 from crosscomb.training.recordings import Recording
 from crosscomb.training.tune import is_tunable, tune
-from crosscomb.training.tune_scores import ERROR
+from crosscomb.training.tune_scores import ERROR, TuneLog, errors_of, losses, prepare
 from crosscomb.tuned import Tuned
 
 MOST_RECORDINGS = 10
 LONGEST = 60.0  # [s] of each
 FOLDS = 2
+WINDOW = 10  # samples
 
 
 def tuned_entries(
@@ -29,7 +30,7 @@ def tuned_entries(
     jobs: int = 1,
     leave: Tuned | None = None,
 ) -> list[FilterSettings]:
-    """Filters with tuned noise where it also helps on recordings it was not tuned on, else as they were.
+    """Filters with tuned noise where that helps on recordings it was not tuned on, and the bank as a whole.
 
     Parameters
     ----------
@@ -49,12 +50,46 @@ def tuned_entries(
     wanted = [entry for entry in entries if entry.name not in done and is_tunable(entry.name, ERROR)]
     if not wanted or len(chosen) < FOLDS:
         return list(entries)
+    some = [recordings[i] for i in sorted(chosen)]
     tuning = tune(
-        [recordings[i] for i in sorted(chosen)], wanted, rate, ERROR, evaluations, rounds=1, folds=FOLDS,
-        seed=seed, jobs=jobs, longest=LONGEST,
-    )  # fmt: skip
-    kept = {each.entry.name: each.kept for each in tuning.filters}
-    return [kept.get(entry.name, entry) for entry in entries]
+        some, wanted, rate, ERROR, evaluations, rounds=1, folds=FOLDS, seed=seed, jobs=jobs, longest=LONGEST
+    )
+    logs = prepare(some, rate, ERROR, LONGEST)
+    return _keep_what_complements(list(entries), [each.kept for each in tuning.filters], logs)
+
+
+def _keep_what_complements(
+    bank: list[FilterSettings], tuned: Sequence[FilterSettings], logs: Sequence[TuneLog]
+) -> list[FilterSettings]:
+    """Take tuned filters into a bank one by one, where the best choice in each window does not become worse by it.
+
+    A filter that alone becomes better by following another has nothing left to add to it.
+    """
+    errors = [_window_errors(entry, logs) for entry in bank]
+    before = _oracle(errors)
+    for entry in tuned:
+        i = [other.name for other in bank].index(entry.name)
+        if entry == bank[i]:
+            continue
+        tried = [*errors[:i], _window_errors(entry, logs), *errors[i + 1 :]]
+        after = _oracle(tried)
+        if float(np.mean(losses(after, before, ERROR))) <= 0.0:
+            bank, errors, before = [*bank[:i], entry, *bank[i + 1 :]], tried, after
+    return bank
+
+
+def _window_errors(entry: FilterSettings, logs: Sequence[TuneLog]) -> list[np.ndarray]:
+    """Mean squared error in each window of the scored samples, log by log ``(windows,) [deg^2]``."""
+    errors = []
+    for squared in (np.degrees(error) ** 2 for error in errors_of(entry, logs)):
+        windows = np.arange(0, len(squared), WINDOW)
+        errors.append(np.add.reduceat(squared, windows) / np.minimum(WINDOW, len(squared) - windows))
+    return errors
+
+
+def _oracle(errors: Sequence[list[np.ndarray]]) -> np.ndarray:
+    """RMSE [deg] on each log of choosing the best filter in every window."""
+    return np.array([np.sqrt(np.mean(np.min(each, axis=0))) for each in zip(*errors, strict=True)])
 
 
 def say_tuned(entries: Sequence[FilterSettings], evaluations: int) -> list[str]:
@@ -67,7 +102,7 @@ def say_tuned(entries: Sequence[FilterSettings], evaluations: int) -> list[str]:
             lines.append(f"{entry.name}: noise {json.dumps(noise)}")
     if evaluations > 0:
         lines.append(
-            f"noise tuned in {evaluations} evaluations on the training part, at most {MOST_RECORDINGS} recordings, and "
-            f"kept where it also helped on those it was not tuned on (--tune-budget 0 leaves it as it is)"
+            f"noise tuned in {evaluations} evaluations on at most {MOST_RECORDINGS} recordings of the training part; kept "
+            f"where it helps on those it was not tuned on, and the bank as a whole (--tune-budget 0 leaves it as it is)"
         )
     return lines

@@ -9,7 +9,7 @@ import numpy as np
 
 from crosscomb.artefact import FilterSettings
 from crosscomb.errors import UsageError
-from crosscomb.filters.base import Inputs, make_inputs
+from crosscomb.filters.base import Inputs, KernelFilter, make_inputs
 from crosscomb.filters.catalogue import make_filter
 from crosscomb.models.vehicle import Vehicle
 from crosscomb.resample import resample
@@ -89,9 +89,18 @@ def score_logs(entry: FilterSettings, logs: Sequence[TuneLog], by: str) -> np.nd
             total = -sum(estimator.log_likelihood(inputs) for inputs, _, _ in log.stretches)
             scores.append(total / sum(len(inputs.samples) for inputs, _, _ in log.stretches))
         else:
-            errors = [(estimator.run(inputs).beta - truth)[used] for inputs, truth, used in log.stretches]
-            scores.append(float(np.degrees(np.sqrt(np.mean(np.concatenate(errors) ** 2)))))
+            scores.append(float(np.degrees(np.sqrt(np.mean(_errors(estimator, log) ** 2)))))
     return np.array(scores)
+
+
+def errors_of(entry: FilterSettings, logs: Sequence[TuneLog]) -> list[np.ndarray]:
+    """Error of a filter at the scored samples of each log ``(n,) [rad]``."""
+    return [_errors(make_filter(entry.name, log.vehicle, entry.settings), log) for log in logs]
+
+
+def _errors(estimator: KernelFilter, log: TuneLog) -> np.ndarray:
+    parts = [(estimator.run(inputs).beta - truth)[used] for inputs, truth, used in log.stretches]
+    return np.concatenate(parts)
 
 
 def losses(scores: np.ndarray, before: np.ndarray, by: str) -> np.ndarray:
