@@ -27,7 +27,7 @@ from crosscomb.training.noise import RANGE, noise_space
 from crosscomb.training.recordings import Recording
 from crosscomb.training.surrogate import minimise
 from crosscomb.training.tune import is_tunable, tune
-from crosscomb.training.tune_first import tuned_entries
+from crosscomb.training.tune_first import keep_what_complements, tuned_entries
 from crosscomb.training.tune_scores import ERROR, LIKELIHOOD, TuneLog, losses, prepare, score_logs
 from crosscomb.tuned import Tuned, TunedNoise, load_tuned, save_tuned, with_tuned
 
@@ -326,6 +326,16 @@ def test_training_tunes_first_but_leaves_what_was_given(recordings):
     assert tuned[1] != entries[1]
     given = Tuned(by="error", filters=[TunedNoise(name="dynamic_ekf", noise={"ay": 3.0})])
     assert tuned_entries(recordings, entries[1:], RATE, 12, leave=given) == entries[1:]
+
+
+def test_a_filter_that_would_only_copy_another_is_not_taken_into_the_bank(recordings):
+    """A particle filter tied hard to the EKF is as good as the EKF, and the choice between them worth nothing."""
+    logs = prepare(recordings[:6], RATE, longest=10.0)
+    free = entry("random_walk_pf")
+    free.settings["particles"] = 200
+    tied = free.model_copy(update={"settings": {**free.settings, "noise": {"pseudo": 1e-3}}})
+    assert keep_what_complements([free], [tied], logs) == [tied]
+    assert keep_what_complements([entry("dynamic_ekf"), free], [tied], logs) == [entry("dynamic_ekf"), free]
 
 
 # The file and the commands

@@ -18,7 +18,8 @@ from crosscomb.tuned import Tuned
 MOST_RECORDINGS = 10
 LONGEST = 60.0  # [s] of each
 FOLDS = 2
-WINDOW = 10  # samples
+WINDOW = 100
+"""Samples over which the bank's best filter is chosen when tuned ones are judged: over less, jitter would pay."""
 
 
 def tuned_entries(
@@ -55,15 +56,23 @@ def tuned_entries(
         some, wanted, rate, ERROR, evaluations, rounds=1, folds=FOLDS, seed=seed, jobs=jobs, longest=LONGEST
     )
     logs = prepare(some, rate, ERROR, LONGEST)
-    return _keep_what_complements(list(entries), [each.kept for each in tuning.filters], logs)
+    return keep_what_complements(list(entries), [each.kept for each in tuning.filters], logs)
 
 
-def _keep_what_complements(
+def keep_what_complements(
     bank: list[FilterSettings], tuned: Sequence[FilterSettings], logs: Sequence[TuneLog]
 ) -> list[FilterSettings]:
     """Take tuned filters into a bank one by one, where the best choice in each window does not become worse by it.
 
     A filter that alone becomes better by following another has nothing left to add to it.
+
+    Parameters
+    ----------
+    bank : list of FilterSettings
+    tuned : sequence of FilterSettings
+        The same filters, or some of them, with other noise.
+    logs : sequence of TuneLog
+        With ground truth.
     """
     errors = [_window_errors(entry, logs) for entry in bank]
     before = _oracle(errors)
