@@ -69,9 +69,8 @@ def tune(
     for note in [*notes, *skipped]:
         terminal.warn(note)
     if len(recordings) < 2:
-        raise UsageError(
-            f"{data_dir}: {len(recordings)} usable recordings, tuning needs two or more: add logs"
-        )
+        kind = "recordings with ground truth (--by likelihood needs none)" if by == "error" else "recordings"
+        raise UsageError(f"{data_dir}: {len(recordings)} {kind}, tuning needs two or more: add logs")
     cars = [] if vehicle else sorted({r.path.with_name("vehicle.toml") for r in recordings})
     inputs = [*existing_files(vehicle, channel_map), *cars, *(r.path for r in recordings)]
     record_file = output.with_suffix(".run.json")
