@@ -11,6 +11,18 @@ from typing import Annotated
 import typer
 
 from crosscomb import __version__
+from crosscomb.cli_options import (
+    FiltersOption,
+    JobsOption,
+    MapOption,
+    SeedOption,
+    SelectorFileOption,
+    TunedOption,
+    VehicleOption,
+)
+from crosscomb.cli_options import existing_files as _existing
+from crosscomb.cli_options import filter_names as _names
+from crosscomb.cli_tune import tune
 from crosscomb.errors import UsageError
 
 app = typer.Typer(
@@ -19,38 +31,6 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     help="Virtual sensor for the vehicle sideslip angle.",
 )
-
-VehicleOption = Annotated[
-    str | None, typer.Option("--vehicle", help="Vehicle file (TOML), or the name of a shipped one.")
-]
-MapOption = Annotated[
-    Path | None, typer.Option("--map", help="Channel map (TOML) for foreign names and units.")
-]
-SelectorFileOption = Annotated[
-    Path | None,
-    typer.Option("--selector-file", help="Artefact of `crosscomb train`; default: the one shipped."),
-]
-FiltersOption = Annotated[
-    str | None, typer.Option("--filters", help="Estimators by name, a,b,c, or all; see `crosscomb filters`.")
-]
-SeedOption = Annotated[
-    int, typer.Option("--seed", min=0, help="The same seed gives the same result bit for bit.")
-]
-JobsOption = Annotated[int, typer.Option("--jobs", min=1, help="Processes; does not change the result.")]
-
-
-def _names(filters: str | None) -> list[str]:
-    """Take the names in a --filters option apart; `all` is the whole catalogue."""
-    if filters is None:
-        return []
-    if filters.strip() == "all":
-        from crosscomb.filters.catalogue import CATALOGUE
-
-        return list(CATALOGUE)
-    names = [name.strip() for name in filters.split(",") if name.strip()]
-    if not names:
-        raise UsageError("--filters: names no estimator: `crosscomb filters` lists them")
-    return names
 
 
 def main() -> None:
@@ -74,11 +54,6 @@ def main() -> None:
         print(f"error: {error.format_message()} (see --help)", file=sys.stderr)
         sys.exit(2)
     sys.exit(code if isinstance(code, int) else 0)
-
-
-def _existing(*paths: str | Path | None) -> list[Path]:
-    """Those that are files: a vehicle may also be the name of a shipped one."""
-    return [Path(path) for path in paths if path is not None and Path(path).is_file()]
 
 
 def _version(asked: bool) -> None:
@@ -169,6 +144,9 @@ def simulate(
     terminal.say(f"{out_dir}: {len(paths)} logs of {car.name}, what is in them stands in dataset.json")
 
 
+app.command()(tune)
+
+
 @app.command()
 def train(
     data_dir: Annotated[
@@ -191,6 +169,10 @@ def train(
     channel_map: MapOption = None,
     jobs: JobsOption = 2,
     filters: FiltersOption = None,
+    tuned: TunedOption = None,
+    tune_budget: Annotated[
+        int, typer.Option("--tune-budget", min=0, max=1000, help="Evaluations to tune noise with; 0: none.")
+    ] = 12,
 ) -> None:
     """Train a selector, cross-validate it, and write the artefact and its report."""
     from crosscomb import terminal
@@ -203,6 +185,8 @@ def train(
     from crosscomb.training.recordings import find_places, read_recordings, require_enough
     from crosscomb.training.train import require_filters, steps
     from crosscomb.training.train import train as run_training
+    from crosscomb.training.tune_first import say_tuned
+    from crosscomb.tuned import load_tuned, require_used
 
     if selector not in (*SELECTORS, "all"):
         raise UsageError(f"--selector {selector}: unknown: take one of {', '.join(SELECTORS)}, all")
@@ -211,6 +195,8 @@ def train(
         raise UsageError(f"{output}: an artefact is a JSON file: let its name end in .json")
     names = _names(filters) or list(DEFAULT_FILTERS)
     require_filters(names)
+    given = load_tuned(tuned) if tuned else None
+    require_used(given, names, tuned)
     signs = load_map(channel_map) if channel_map else None
     with terminal.progress("reading", sum(len(logs) for _, logs in find_places(data_dir))) as advance:
         recordings, notes = read_recordings(data_dir, vehicle, signs, advance)
@@ -218,20 +204,25 @@ def train(
         terminal.warn(note)
     require_enough(recordings, data_dir)
     cars = [] if vehicle else sorted({r.path.with_name("vehicle.toml") for r in recordings})
-    inputs = [*_existing(vehicle, channel_map), *cars, *(r.path for r in recordings)]
+    inputs = [*_existing(vehicle, channel_map, tuned), *cars, *(r.path for r in recordings)]
     record_file = output.with_suffix(".run.json")
     refuse_overwriting(
         inputs, [output, record_file, *beside_artefact(output), output.with_name("comparison.json")]
     )
     with terminal.progress("training", steps(recordings, folds)) as advance:
-        training = run_training(recordings, selector, folds, seed, rate, jobs, advance, names)
+        training = run_training(
+            recordings, selector, folds, seed, rate, jobs, advance, names, given, tune_budget
+        )
     save_artefact(training.artefact, output)
     paths = write_training(training, output, notes)
     settings = {
         "selector": selector, "folds": folds, "seed": seed, "rate": rate, "vehicle": vehicle, "filters": names,
+        "tuned": str(tuned) if tuned else None, "tune_budget": tune_budget,
     }  # fmt: skip
     write_json(record_file, run_record("train", settings, inputs))
 
+    for line in say_tuned(training.artefact.filters, tune_budget):
+        terminal.say(line)
     for part, evaluation in training.evaluations.items():
         count = len(evaluation.table)
         terminal.show_scores(f"{part}: {count} recordings", evaluation.rmse, evaluation.largest)
@@ -263,6 +254,7 @@ def estimate(
         bool, typer.Option("--plot", help="Also draw beta, its band and the active filter.")
     ] = False,
     filters: FiltersOption = None,
+    tuned: TunedOption = None,
 ) -> None:
     """Estimate the sideslip angle of logs; with ground truth in them, also score it."""
     from crosscomb import terminal
@@ -271,10 +263,13 @@ def estimate(
     from crosscomb.estimate import estimate_log, name_filters, open_logs, write_estimate
     from crosscomb.files import run_record, write_json
     from crosscomb.training.metrics import score_log
+    from crosscomb.tuned import load_tuned, require_used
 
     artefact = load_artefact(selector_file)
     names = _names(filters)
     name_filters(names, artefact)
+    given = load_tuned(tuned) if tuned else None
+    require_used(given, names or artefact.filter_names, tuned)
     signs = load_map(channel_map) if channel_map else None
     with terminal.progress("reading", len(logs)) as advance:
         opened = open_logs(logs, artefact, vehicle, signs, output, advance)
@@ -283,14 +278,15 @@ def estimate(
     scores, notes = {}, []
     with terminal.progress("estimating", len(opened)) as advance:
         for log in opened:
-            result = estimate_log(log.signals, log.vehicle, artefact, names or None)
+            result = estimate_log(log.signals, log.vehicle, artefact, names or None, given)
             name = log.signals.name
             write_estimate(result, output / f"{name}.estimate.csv")
             settings = {
                 "artefact": str(selector_file or "shipped"), "vehicle": log.vehicle.model_dump(),
                 "vehicle_from": log.origin, "filters": list(result.filters), "notes": list(result.signals.notes),
+                "tuned": str(tuned) if tuned else None,
             }  # fmt: skip
-            inputs = [log.path, *_existing(selector_file, channel_map, log.origin)]
+            inputs = [log.path, *_existing(selector_file, channel_map, tuned, log.origin)]
             write_json(output / f"{name}.run.json", run_record("estimate", settings, inputs))
             if plot:
                 from crosscomb.report import plot_estimate
@@ -353,6 +349,7 @@ def benchmark(
     ] = None,
     jobs: JobsOption = 2,
     filters: FiltersOption = None,
+    tuned: TunedOption = None,
 ) -> None:
     """Print accuracy and speed of all estimators."""
     from crosscomb import terminal
@@ -361,6 +358,7 @@ def benchmark(
     from crosscomb.results import write_benchmark, write_papers
     from crosscomb.training import benchmark as suites
     from crosscomb.training.recordings import find_places
+    from crosscomb.tuned import load_tuned, require_used, with_tuned
 
     artefact = load_artefact(selector_file)
     if suite == "papers":
@@ -378,6 +376,11 @@ def benchmark(
             write_papers(output, tables)
         return
     beside = name_filters([name for name in _names(filters) if name not in artefact.filter_names], artefact)
+    if tuned is not None:
+        given = load_tuned(tuned)
+        require_used(given, [*artefact.filter_names, *(entry.name for entry in beside)], tuned)
+        beside = with_tuned(beside, given)
+        artefact = artefact.model_copy(update={"filters": with_tuned(artefact.filters, given)})
     if suite == "real":
         if data is None:
             raise UsageError("benchmark real: needs the folder of the logs: give --data")
@@ -409,7 +412,7 @@ def demo(
 
     logs, unseen, selector = output / "logs", output / "unseen", output / "selector.json"
     simulate(logs, vehicle=None, seed=1, logs=30, force=True, jobs=2, preset="quick")
-    train(logs, output=selector, jobs=2)
+    train(logs, output=selector, jobs=2, tune_budget=0)  # noise tuned on logs this short would be no better
     simulate(unseen, vehicle=None, seed=2, logs=3, force=True, jobs=2, preset="quick")
     fresh = sorted(unseen.glob("*.csv.gz"))
     estimate(fresh, selector_file=selector, output=output / "estimates", plot=True)

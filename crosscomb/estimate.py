@@ -24,6 +24,7 @@ from crosscomb.plausibility import check_units
 from crosscomb.prepare import complete
 from crosscomb.resample import Segment, resample, rows_to_grid
 from crosscomb.signals import MIN_SPEED, REFERENCES, Signals
+from crosscomb.tuned import Tuned, with_tuned
 from crosscomb.windows import WindowSettings, window_features
 
 STALE = 1.0
@@ -173,7 +174,11 @@ def name_filters(names: Sequence[str], artefact: Artefact) -> list[FilterSetting
 
 
 def estimate_log(
-    signals: Signals, vehicle: Vehicle, artefact: Artefact, filters: Sequence[str] | None = None
+    signals: Signals,
+    vehicle: Vehicle,
+    artefact: Artefact,
+    filters: Sequence[str] | None = None,
+    tuned: Tuned | None = None,
 ) -> LogEstimate:
     """Estimate the sideslip angle at each row of a log.
 
@@ -188,10 +193,12 @@ def estimate_log(
     filters : sequence of str, optional
         Estimators to run instead of the artefact's. With all of the artefact's among them its switch works as ever,
         and the others stand beside it; else the first named one is the answer, and nothing is switched.
+    tuned : Tuned, optional
+        Noise that takes the place of the filters' own.
     """
     signals = complete(signals, vehicle)
     names = list(filters or artefact.filter_names)
-    made = make_filters(name_filters(names, artefact), vehicle)
+    made = make_filters(with_tuned(name_filters(names, artefact), tuned), vehicle)
     switched = all(name in names for name in artefact.filter_names)
     members = [names.index(name) for name in (artefact.filter_names if switched else names[:1])]
     if not switched:

@@ -81,7 +81,7 @@ def _limits(axis: Axes, values: np.ndarray) -> None:
 
 def plot_estimate(estimate: LogEstimate, path: Path, title: str) -> None:
     """Write the picture of an estimate as PNG."""
-    _save(estimate_figure(estimate, title), path)
+    save_figure(estimate_figure(estimate, title), path)
 
 
 def confusion_figure(confusion: np.ndarray, names: Sequence[str]) -> Figure:
@@ -149,10 +149,10 @@ def write_training(training: Training, artefact_path: Path, notes: Sequence[str]
     confusion = training.folds.confusion
     paths = beside_artefact(artefact_path)
     write_file(paths[1], lambda path: confusion_table(confusion, names).to_csv(path, lineterminator="\n"))
-    _save(confusion_figure(confusion, names), paths[2])
+    save_figure(confusion_figure(confusion, names), paths[2])
     write_text(paths[3], metrics_json(training))
     write_text(paths[4], tree_text(training.artefact))
-    _save(tree_figure(training.artefact), paths[5])
+    save_figure(tree_figure(training.artefact), paths[5])
     write_text(paths[0], training_page(training, artefact_path.name, notes))
     return paths
 
@@ -273,6 +273,7 @@ def _as_png(figure: Figure) -> bytes:
     return buffer.getvalue()
 
 
-def _save(figure: Figure, path: Path) -> None:
+def save_figure(figure: Figure, path: Path) -> None:
+    """Write a picture as PNG, whole or not at all."""
     content = _as_png(figure)
     write_file(path, lambda temporary: temporary.write_bytes(content))

@@ -58,6 +58,7 @@ def in_use(particles, n):
         rng=particles.rng,
         source=particles.source[:n],
         scheme=particles.scheme,
+        evidence=particles.evidence,
     )
 
 
@@ -138,6 +139,7 @@ class AdaptivePF(KernelFilter):
             running=np.zeros(1, dtype=np.int64),
             ekf=gaussian(),
             ekf_out=np.empty(3),
+            evidence=np.empty(0),
         )
         return ParticleStore(
             particles=particles,

@@ -30,6 +30,8 @@ BETA, BETA_STD, NIS = range(3)
 LOW_SPEED_STD = math.radians(2.0)
 """Standard deviation of the low-speed answer [rad]: tyre slip and steering offset at walking speed."""
 
+LOG_2_PI = math.log(2.0 * math.pi)
+
 MAX_BETA = math.radians(80.0)
 """Models with the speed vx / cos(beta) lose their meaning near 90 deg; states are held inside [rad]."""
 
@@ -101,6 +103,8 @@ class KernelFilter:
     """Settings that are tables of their own, each with the function that checks it: (where, value) to setting."""
     extras: ClassVar[tuple[str, ...]] = ()
     """Columns that the kernels write behind `NIS`, each as ``name [unit]``."""
+    told_by_likelihood: ClassVar[tuple[str, ...]] = ()
+    """Noise settings that the likelihood of the measurements tells; none where the kernels do not keep it."""
 
     @cached_property
     def car(self) -> SingleTrack:
@@ -140,6 +144,16 @@ class KernelFilter:
         beta, beta_std, nis, *extra = out.T.copy()
         return Estimate(beta, beta_std, nis, dict(zip(self.extras, extra, strict=True)))
 
+    def log_likelihood(self, inputs: Inputs) -> float:
+        """Log density of a log's measurements, each given those before it (the sum over the innovations).
+
+        Only for filters with `told_by_likelihood`.
+        """
+        state = self.make_state()._replace(evidence=np.zeros(1))
+        out = np.empty((len(inputs.samples), 3 + len(self.extras)))
+        self.run_kernel(state, inputs.samples, self.car, self.noise, inputs.dt, out)
+        return float(state.evidence[0])
+
 
 class Gaussian(NamedTuple):
     """Mean and covariance of a two-state filter, changed in place by its kernel."""
@@ -147,11 +161,12 @@ class Gaussian(NamedTuple):
     mean: np.ndarray  # (2,)
     cov: np.ndarray  # (2, 2)
     running: np.ndarray  # (1,) 1 above the low-speed gate, 0 below
+    evidence: np.ndarray  # (1,) sum of the innovations' log densities; (0,) where nobody asks for it
 
 
 def gaussian() -> Gaussian:
     """Make an unstarted two-state filter."""
-    return Gaussian(np.zeros(2), np.eye(2), np.zeros(1, dtype=np.int64))
+    return Gaussian(np.zeros(2), np.eye(2), np.zeros(1, dtype=np.int64), np.empty(0))
 
 
 @inlined
@@ -169,13 +184,19 @@ def low_speed_answer(sample, car, out):
 
 
 @inlined
+def normal_log_density(nis, variance):
+    """Log density of an innovation with its NIS and variance."""
+    return -0.5 * (nis + math.log(variance) + LOG_2_PI)
+
+
+@inlined
 def scalar_update(state, h0, h1, innovation, variance):
     """Update a two-state filter with one scalar measurement, in Joseph form.
 
     Parameters
     ----------
     state : Gaussian
-        Changed in place.
+        Changed in place, its evidence too where it is asked for.
     h0, h1 : float
         Row of the measurement matrix.
     innovation : float
@@ -202,7 +223,10 @@ def scalar_update(state, h0, h1, innovation, variance):
     cov[0, 0] = b00 * a00 + b01 * a01 + k0 * k0 * variance
     cov[0, 1] = cov[1, 0] = b00 * a10 + b01 * a11 + k0 * k1 * variance
     cov[1, 1] = b10 * a10 + b11 * a11 + k1 * k1 * variance
-    return innovation * innovation / s
+    nis = innovation * innovation / s
+    if state.evidence.size > 0:
+        state.evidence[0] += normal_log_density(nis, s)
+    return nis
 
 
 @inlined

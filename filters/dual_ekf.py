@@ -91,6 +91,7 @@ class DualState(NamedTuple):
     slopes: np.ndarray  # (3, 7)
     by: np.ndarray  # (4, 2)
     vectors: np.ndarray  # (3, 4) measurement row of the tyres and scratch
+    evidence: np.ndarray  # of the motion filter, as in `crosscomb.filters.base.Gaussian`
 
 
 @inlined
@@ -248,6 +249,7 @@ class DualEKF(KernelFilter):
     noise: DualNoise = DualNoise()
     tyre: str = "rational"
 
+    told_by_likelihood = ("yaw_acceleration", "slip_rate", "yaw_rate", "ay")
     step_kernel = staticmethod(dual_step)
     run_kernel = staticmethod(dual_run)
     choices: ClassVar[dict[str, tuple[str, ...]]] = {"tyre": ("rational",)}
@@ -272,4 +274,5 @@ class DualEKF(KernelFilter):
             slopes=np.zeros(SLOPES_SHAPE),
             by=np.zeros((4, 2)),
             vectors=np.zeros((3, PARAMETERS)),
+            evidence=np.empty(0),
         )

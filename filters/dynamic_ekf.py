@@ -145,5 +145,6 @@ class DynamicEKF(KernelFilter):
 
     noise: DynamicNoise = DynamicNoise()
 
+    told_by_likelihood = ("yaw_acceleration", "slip_rate", "yaw_rate", "ay")
     step_kernel = staticmethod(dynamic_step)
     run_kernel = staticmethod(dynamic_run)

@@ -51,7 +51,7 @@ LEAST_SHARE = 1e-3
 """A smaller share of straight driving than this is none."""
 
 
-@njit(cache=True)
+@inlined
 def straight_share(yaw_rate, turning):
     """Share in which driving counts as straight, 1 at zero yaw rate; 0 where the yaw rate is not known."""
     if not math.isfinite(yaw_rate):
@@ -61,7 +61,7 @@ def straight_share(yaw_rate, turning):
     return share if share > LEAST_SHARE else 0.0
 
 
-@njit(cache=True)
+@inlined
 def forgetting(yaw_rate, noise, dt):
     """Share of vy that is kept over dt."""
     rate = noise.relaxation * straight_share(yaw_rate, noise.turning)
@@ -147,5 +147,6 @@ class KinematicKF(KernelFilter):
 
     noise: KinematicNoise = KinematicNoise()
 
+    told_by_likelihood = ("accel", "speed", "relaxation")
     step_kernel = staticmethod(kinematic_step)
     run_kernel = staticmethod(kinematic_run)

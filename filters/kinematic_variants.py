@@ -178,5 +178,6 @@ class BlendKF(KernelFilter):
 
     noise: BlendNoise = BlendNoise()
 
+    told_by_likelihood = ("accel", "speed", "relaxation")
     step_kernel = staticmethod(blend_step)
     run_kernel = staticmethod(blend_run)

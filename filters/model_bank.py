@@ -24,6 +24,7 @@ from crosscomb.filters.base import (
     AY,
     BETA,
     BETA_STD,
+    LOG_2_PI,
     MAX_BETA,
     STEER_HELD,
     VX,
@@ -31,6 +32,7 @@ from crosscomb.filters.base import (
     Gaussian,
     below_gate,
     low_speed_answer,
+    normal_log_density,
     propagate,
     scalar_update,
 )  # fmt: skip
@@ -39,7 +41,6 @@ from crosscomb.models.compiled import inlined
 from crosscomb.models.single_track import SingleTrack, body_rates, slip_rate_slope
 
 MODELS = 3
-LOG_2_PI = math.log(2.0 * math.pi)
 
 
 class ModelNoise(NamedTuple):
@@ -100,12 +101,6 @@ def slip_predict(state, sample, noise, dt):
         state.cov, 1.0, 0.0, dt * by_yaw, 1.0 + dt * (slope - noise.relaxation),
         noise.yaw_acceleration**2 * dt, 0.0, density * density * dt,
     )  # fmt: skip
-
-
-@inlined
-def normal_log_density(nis, variance):
-    """Log density of an innovation with its NIS and variance."""
-    return -0.5 * (nis + math.log(variance) + LOG_2_PI)
 
 
 @inlined

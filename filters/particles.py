@@ -84,6 +84,16 @@ def normalise(log_weights, weights):
 
 
 @njit(cache=True)
+def log_sum(log_weights):
+    """Log of the sum of the weights."""
+    best = np.max(log_weights)
+    total = 0.0
+    for i in range(log_weights.size):
+        total += math.exp(log_weights[i] - best)
+    return best + math.log(total)
+
+
+@njit(cache=True)
 def weighted_beta(particles):
     """Mean and standard deviation of beta over the weighted particles [rad] (Atheupe 2023, eq. 16)."""
     beta, weights = particles.x[1], particles.weights

@@ -22,6 +22,7 @@ from crosscomb.filters.base import (
     BETA_STD,
     FXF,
     FXR,
+    LOG_2_PI,
     MAX_BETA,
     NIS,
     STEER,
@@ -35,7 +36,7 @@ from crosscomb.filters.base import (
     low_speed_answer,
 )  # fmt: skip
 from crosscomb.filters.dynamic_ekf import DynamicNoise, dynamic_step
-from crosscomb.filters.particles import RESAMPLE_BELOW, cloud, draw_uniform, normalise, weighted_beta
+from crosscomb.filters.particles import RESAMPLE_BELOW, cloud, draw_uniform, log_sum, normalise, weighted_beta
 from crosscomb.filters.resampling import RESAMPLING, resample
 from crosscomb.models.single_track import body_rates
 
@@ -65,6 +66,7 @@ class Particles(NamedTuple):
     rng: np.random.Generator
     source: np.ndarray  # (n,) int64, which particle each new one copied last
     scheme: int  # of resampling
+    evidence: np.ndarray  # (1,) sum of the measurements' log densities; (0,) where nobody asks for it
 
 
 FIRST_SPREAD = (0.2, math.radians(8.0), 2.0, 2.0, 2.0, 2.0)
@@ -155,6 +157,18 @@ def move_and_weigh(particles, sample, beta_ekf, std_ekf, car, noise, dt):
 
 
 @njit(cache=True)
+def log_scale(sample, noise):
+    """Log of what the densities of the measurements that are there are divided by."""
+    total = 0.0
+    if math.isfinite(sample[YAW_RATE]):
+        total += 0.5 * LOG_2_PI + math.log(noise.yaw_rate)
+    for column in (AX, AY):
+        if math.isfinite(sample[column]):
+            total += 0.5 * LOG_2_PI + math.log(noise.accel)
+    return total
+
+
+@njit(cache=True)
 def particle_answer(particles, sample, car, noise, dt, out):
     """One sample of the particle filter without resampling; give the effective sample size, inf at low speed."""
     dynamic_step(particles.ekf, sample, car, noise.ekf, dt, particles.ekf_out)
@@ -168,7 +182,11 @@ def particle_answer(particles, sample, car, noise, dt, out):
         low_speed_answer(sample, car, out)
         particles.running[0] = 1
         return math.inf
+    if particles.evidence.size > 0:
+        particles.evidence[0] -= log_sum(particles.log_weights)
     move_and_weigh(particles, sample, beta_ekf, std_ekf, car, noise, dt)
+    if particles.evidence.size > 0:
+        particles.evidence[0] += log_sum(particles.log_weights) - log_scale(sample, noise)
     effective = normalise(particles.log_weights, particles.weights)
     out[BETA], out[BETA_STD] = weighted_beta(particles)
     out[NIS] = math.nan
@@ -203,6 +221,8 @@ class RandomWalkPF(KernelFilter):
     seed: int = 0
 
     choices: ClassVar = {**KernelFilter.choices, "resampling": tuple(RESAMPLING)}
+    # Not the EKF's, nor how far it is trusted: its beta is no measurement of the car.
+    told_by_likelihood = ("force", "yaw_acceleration", "slip_rate", "yaw_rate", "accel")
     step_kernel = staticmethod(particle_step)
     run_kernel = staticmethod(particle_run)
 
@@ -213,4 +233,5 @@ class RandomWalkPF(KernelFilter):
             running=np.zeros(1, dtype=np.int64),
             ekf=gaussian(),
             ekf_out=np.empty(3),
+            evidence=np.empty(0),
         )

@@ -304,7 +304,7 @@ def test_training_needs_two_classes(crosscomb, recordings: list[Recording], data
         frame = bank.recording.signals.frame.drop(columns=["vx_ref", "vy_ref"])
         frame = frame.assign(beta_ref=bank.joined(lambda run: run.beta)[:, 1])
         frame.to_csv(folder / f"{bank.recording.name}.csv", index=False)
-    ran = crosscomb("train", folder, "-o", tmp_path / "out" / "a.json", "--jobs", 1)
+    ran = crosscomb("train", folder, "-o", tmp_path / "out" / "a.json", "--jobs", 1, "--tune-budget", 0)
     refused(ran, tmp_path / "out", str(folder), "dynamic_ekf is best in every window", "add recordings")
 
 

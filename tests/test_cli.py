@@ -16,7 +16,7 @@ from crosscomb.filters.catalogue import CATALOGUE, DEFAULT_FILTERS
 from crosscomb.models.vehicle import load_vehicle
 from crosscomb.training import benchmark as suites
 
-COMMANDS = ["filters", "vehicle", "simulate", "train", "estimate", "check", "benchmark", "demo"]
+COMMANDS = ["filters", "vehicle", "simulate", "tune", "train", "estimate", "check", "benchmark", "demo"]
 
 
 @pytest.fixture(scope="module")
@@ -177,7 +177,18 @@ def test_train_into_its_own_data_folder_does_no_harm(crosscomb, data_set, tmp_pa
     shutil.copytree(data_set, folder)
     for path in sorted(folder.glob("*.csv"))[7:]:
         path.unlink()
-    words = ("train", folder, "-o", folder / "mine.json", "--selector", "paper", "--jobs", 1)
+    words = (
+        "train",
+        folder,
+        "-o",
+        folder / "mine.json",
+        "--selector",
+        "paper",
+        "--jobs",
+        1,
+        "--tune-budget",
+        0,
+    )
     assert crosscomb(*words).code == 0
     first = (folder / "mine.json").read_bytes()
     ran = crosscomb(*words)

@@ -20,7 +20,7 @@ LEAST_RECORDINGS = 7
 
 @dataclass(frozen=True)
 class Recording:
-    """One log that can be scored.
+    """One log with its vehicle; with ground truth unless asked for otherwise.
 
     Attributes
     ----------
@@ -38,7 +38,7 @@ class Recording:
     signals: Signals
 
 
-OUR_TABLES = (".estimate.csv", "confusion_matrix.csv")
+OUR_TABLES = (".estimate.csv", ".tuning.csv", "confusion_matrix.csv")
 """Endings of what crosscomb itself writes: no logs."""
 
 
@@ -76,6 +76,7 @@ def read_recordings(
     vehicle: str | Path | None = None,
     channel_map: ChannelMap | None = None,
     progress: Callable[[], None] | None = None,
+    unscored: bool = False,
 ) -> tuple[list[Recording], list[str]]:
     """Read all recordings of a data folder and of its sub-folders, one per vehicle.
 
@@ -88,6 +89,8 @@ def read_recordings(
     channel_map : ChannelMap, optional
     progress : callable, optional
         Called for each log that is read.
+    unscored : bool
+        Keep logs without ground truth too.
 
     Returns
     -------
@@ -117,7 +120,7 @@ def read_recordings(
             signals = read_log(path, channel_map)
             require_plausible(signals, car)
             signals = complete(signals, car)
-            if not signals.has_reference:
+            if not unscored and not signals.has_reference:
                 notes.append(f"{prefix}{path.name}: skipped, it has no ground truth above walking speed")
                 continue
             recordings.append(Recording(prefix + log_name(path), path, car, signals))

@@ -21,6 +21,8 @@ from crosscomb.training.fit import SELECTORS, Fitter, TreeShape
 from crosscomb.training.folds import Parts, grouped_folds, split_recordings
 from crosscomb.training.labels import Windows, concatenate
 from crosscomb.training.recordings import Recording, common_vehicle
+from crosscomb.training.tune_first import tuned_entries
+from crosscomb.tuned import Tuned, with_tuned
 
 RATE = 100.0
 """Default working rate [Hz]."""
@@ -66,6 +68,8 @@ def train(
     jobs: int = 1,
     progress: Callable[[], None] | None = None,
     filters: Sequence[str] = DEFAULT_FILTERS,
+    tuned: Tuned | None = None,
+    tune_budget: int = 0,
 ) -> Training:
     """Train a selector on recordings with ground truth.
 
@@ -86,6 +90,10 @@ def train(
         Called `steps` times in all.
     filters : sequence of str
         Names of the estimators to select from; at least two.
+    tuned : Tuned, optional
+        Noise that takes the place of the filters' defaults; these filters are not tuned again.
+    tune_budget : int
+        Evaluations to tune the other filters' noise with, on the training part only; 0 leaves them as they are.
 
     Raises
     ------
@@ -93,7 +101,10 @@ def train(
         One filter is the best in every window, or a recording has no window that can be judged.
     """
     kind = SELECTORS[selector]
-    entries = default_filters(recordings[0].vehicle, filters)
+    entries = with_tuned(default_filters(recordings[0].vehicle, filters), tuned)
+    if tune_budget > 0:
+        learning = [recordings[i] for i in split_recordings(len(recordings), seed).training]
+        entries = tuned_entries(learning, entries, rate, tune_budget, seed, jobs, leave=tuned)
     banks = run_bank(recordings, entries, rate, kind.window, jobs, progress)
     windows = [bank.windows(kind.window, kind.needs_all) for bank in banks]
     _require_choice(recordings, windows, entries)

@@ -1,0 +1,50 @@
+"""Options that several commands share, and what is read from them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from crosscomb.errors import UsageError
+
+VehicleOption = Annotated[
+    str | None, typer.Option("--vehicle", help="Vehicle file (TOML), or the name of a shipped one.")
+]
+MapOption = Annotated[
+    Path | None, typer.Option("--map", help="Channel map (TOML) for foreign names and units.")
+]
+SelectorFileOption = Annotated[
+    Path | None,
+    typer.Option("--selector-file", help="Artefact of `crosscomb train`; default: the one shipped."),
+]
+FiltersOption = Annotated[
+    str | None, typer.Option("--filters", help="Estimators by name, a,b,c, or all; see `crosscomb filters`.")
+]
+TunedOption = Annotated[
+    Path | None, typer.Option("--tuned", help="Noise settings from `crosscomb tune`, for the filters in it.")
+]
+SeedOption = Annotated[
+    int, typer.Option("--seed", min=0, help="The same seed gives the same result bit for bit.")
+]
+JobsOption = Annotated[int, typer.Option("--jobs", min=1, help="Processes; does not change the result.")]
+
+
+def filter_names(filters: str | None) -> list[str]:
+    """Take the names in a --filters option apart; `all` is the whole catalogue."""
+    if filters is None:
+        return []
+    if filters.strip() == "all":
+        from crosscomb.filters.catalogue import CATALOGUE
+
+        return list(CATALOGUE)
+    names = [name.strip() for name in filters.split(",") if name.strip()]
+    if not names:
+        raise UsageError("--filters: names no estimator: `crosscomb filters` lists them")
+    return names
+
+
+def existing_files(*paths: str | Path | None) -> list[Path]:
+    """Those that are files: a vehicle may also be the name of a shipped one."""
+    return [Path(path) for path in paths if path is not None and Path(path).is_file()]
