@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
@@ -102,9 +101,9 @@ def _box(axis: Axes, artefact: Artefact, node: int, x: float, depth: int) -> Non
 
 
 def _leaf(artefact: Artefact, node: int) -> str:
-    shares = np.array(artefact.tree.shares[node])
-    best = int(np.argmax(shares))
-    return f"{artefact.filter_names[best]} ({100 * shares[best]:.0f} % of the weight)"
+    pick = artefact.tree.picks[node]
+    share = 100 * artefact.tree.shares[node][pick]
+    return f"-> {artefact.filter_names[pick]} ({share:.0f} % of the weight)"
 
 
 def _split(name: str) -> tuple[str, str]:
