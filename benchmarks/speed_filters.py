@@ -27,7 +27,7 @@ from crosscomb.filters import base
 from crosscomb.filters.base import Estimate, Inputs, KernelFilter
 from crosscomb.filters.dynamic_ekf import DynamicEKF
 from crosscomb.filters.kinematic_kf import KinematicKF
-from crosscomb.filters.random_walk_pf import FAR_OFF, FIRST_SPREAD, RandomWalkPF
+from crosscomb.filters.random_walk_pf import FAR_OFF, FIRST_SPREAD, MOST_DOUBT, RandomWalkPF
 from crosscomb.filters.reference import reference_dynamic_ekf, reference_kinematic_kf
 from crosscomb.models.single_track import body_rates
 from crosscomb.models.vehicle import Vehicle, load_vehicle
@@ -78,7 +78,7 @@ def numpy_random_walk_pf(estimator: RandomWalkPF, inputs: Inputs, ekf: Estimate)
     width *= np.sqrt(12.0 * dt)
     half = scale * np.array(FIRST_SPREAD)[:, None]
     p_yaw, p_a = 0.5 / noise.yaw_rate**2, 0.5 / noise.accel**2
-    p_beta = 0.5 * dt / (noise.pseudo**2 + ekf.beta_std**2)
+    p_beta = 0.5 * dt / (noise.pseudo**2 + np.minimum(ekf.beta_std, MOST_DOUBT) ** 2)
     places = np.arange(n)
     x, random, log_weights = np.empty((6, n)), np.empty((6, n)), np.empty(n)
     out = np.empty((len(inputs.samples), 2))

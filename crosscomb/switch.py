@@ -21,6 +21,8 @@ class SwitchSettings(BaseModel):
         A decision must stand this long before it is followed [s].
     transition : float
         Time constant with which the step between two filters fades out [s] (the paper's smooth transition).
+    slew : float
+        Largest rate at which that step fades out [rad/s]: a large step must not show as a jump.
     settle : float
         A filter that was not finite, stood still or jumped is barred for this long [s].
     stale : float
@@ -34,6 +36,7 @@ class SwitchSettings(BaseModel):
     dwell: float = Field(default=0.2, ge=0.0, le=60.0)
     confirm: float = Field(default=0.05, ge=0.0, le=60.0)
     transition: float = Field(default=0.1, ge=0.0, le=60.0)
+    slew: float = Field(default=0.4, gt=0.0)
     settle: float = Field(default=0.5, ge=0.0, le=60.0)
     stale: float = Field(default=0.5, gt=0.0, le=60.0)
     fastest: float = Field(default=15.0, gt=0.0)
@@ -45,6 +48,7 @@ class SwitchTimes(NamedTuple):
     dwell: int
     confirm: int
     decay: float  # share of a step that is left after one sample
+    most: float  # that fades out in one sample [rad]
     settle: int
     stale: int
     jump: float  # [rad] in one sample
@@ -68,6 +72,7 @@ def switch_times(settings: SwitchSettings, dt: float) -> SwitchTimes:
         dwell=round(settings.dwell / dt),
         confirm=round(settings.confirm / dt),
         decay=math.exp(-dt / settings.transition) if settings.transition > 0.0 else 0.0,
+        most=settings.slew * dt,
         settle=round(settings.settle / dt),
         stale=max(1, round(settings.stale / dt)),
         jump=settings.fastest * dt,
@@ -141,7 +146,8 @@ def switch_step(state, beta, beta_std, wanted, times):
             values[0] = values[1] - beta[wanted]  # the last answer stands in for the lost estimate
         counts[0], counts[2] = wanted, 0
         current = wanted
-    values[0] *= times.decay
+    faded = (1.0 - times.decay) * values[0]
+    values[0] -= min(max(faded, -times.most), times.most)
     values[1] = beta[current] + values[0]
     counts[4] += 1
     # While the old estimate fades out, what parts it from the new one is doubt.

@@ -72,6 +72,9 @@ class Particles(NamedTuple):
 FIRST_SPREAD = (0.2, math.radians(8.0), 2.0, 2.0, 2.0, 2.0)
 """Half width of the uniform first particles: yaw rate [rad/s], beta [rad], forces over the mass [m/s^2]."""
 
+MOST_DOUBT = math.radians(1.5)
+"""More of the EKF's own doubt does not count [rad]: in a gap of all channels nothing else holds the particles."""
+
 FAR_OFF = 0.5 * 5.0**2
 """No measurement counts as further off than five standard deviations: a wild one would leave one particle."""
 
@@ -116,7 +119,8 @@ def slip_precision(beta_std, noise, dt):
 
     The EKF's error lasts long, so its beta counts as one measurement per second, spread over the steps.
     """
-    return 0.5 * dt / (noise.pseudo**2 + beta_std**2)
+    doubt = min(beta_std, MOST_DOUBT)
+    return 0.5 * dt / (noise.pseudo**2 + doubt * doubt)
 
 
 @njit(cache=True)

@@ -17,7 +17,7 @@ from crosscomb.filters import base
 from crosscomb.filters.base import Estimate, Inputs
 from crosscomb.filters.dynamic_ekf import DynamicEKF
 from crosscomb.filters.kinematic_kf import BLIND_RELAXATION, LEAST_SHARE, KinematicKF
-from crosscomb.filters.random_walk_pf import FAR_OFF, FIRST_SPREAD, RandomWalkPF
+from crosscomb.filters.random_walk_pf import FAR_OFF, FIRST_SPREAD, MOST_DOUBT, RandomWalkPF
 from crosscomb.models.kinematic import input_gain, rotation
 from crosscomb.models.single_track import SingleTrack, body_rates, single_track_rates, stable_substeps
 from crosscomb.signals import MIN_SPEED
@@ -180,7 +180,7 @@ def reference_random_walk_pf(estimator: RandomWalkPF, inputs: Inputs) -> Estimat
         x[0] += dt * yaw_acceleration + random[0]
         x[1] = np.clip(x[1] + dt * beta_rate + random[1], -base.MAX_BETA, base.MAX_BETA)
         measured = sample[[base.YAW_RATE, base.AX, base.AY, base.SAMPLE_WIDTH]]
-        slip_variance = (noise.pseudo**2 + sample[base.SAMPLE_WIDTH + 1] ** 2) / dt
+        slip_variance = (noise.pseudo**2 + min(sample[base.SAMPLE_WIDTH + 1], MOST_DOUBT) ** 2) / dt
         variances = np.array([noise.yaw_rate**2, noise.accel**2, noise.accel**2, slip_variance])
         misfit = 0.5 * (np.stack([x[0], ax, ay, x[1]]).T - measured) ** 2 / variances
         misfit[:, :3] = np.minimum(misfit[:, :3], FAR_OFF)

@@ -23,7 +23,7 @@ from crosscomb.filters.base import (
 )
 from crosscomb.filters.dynamic_ekf import DynamicEKF
 from crosscomb.filters.particles import normalise
-from crosscomb.filters.random_walk_pf import FIRST_SPREAD, ParticleNoise, RandomWalkPF
+from crosscomb.filters.random_walk_pf import FIRST_SPREAD, MOST_DOUBT, ParticleNoise, RandomWalkPF
 from crosscomb.filters.rao_blackwell_pf import (
     MAX_FORCE_STD,
     RaoBlackwellPF,
@@ -90,7 +90,7 @@ def textbook(estimator: RaoBlackwellPF, inputs: Inputs, own: bool) -> tuple[np.n
     noise, car, n = estimator.noise, estimator.car, estimator.particles
     rng = np.random.Generator(np.random.SFC64(estimator.seed))
     ekf = DynamicEKF(estimator.vehicle, noise.ekf).run(inputs)
-    slip_variance = (noise.pseudo**2 + ekf.beta_std**2) / DT
+    slip_variance = (noise.pseudo**2 + np.minimum(ekf.beta_std, MOST_DOUBT) ** 2) / DT
     force = (noise.force * car.mass) ** 2
     limit = (MAX_FORCE_STD * car.mass) ** 2
     r = np.diag([noise.yaw_rate, noise.accel, noise.accel]) ** 2
@@ -245,7 +245,7 @@ def extended_kalman(
         if forgetful:
             p[1, LINEAR] = p[LINEAR, 1] = 0.0
         h = np.vstack([np.eye(6)[0], slopes[2:], np.eye(6)[1]])
-        r[3, 3] = (noise.pseudo**2 + ekf.beta_std[k] ** 2) / DT
+        r[3, 3] = (noise.pseudo**2 + min(ekf.beta_std[k], MOST_DOUBT) ** 2) / DT
         gain = p @ h.T @ np.linalg.inv(h @ p @ h.T + r)
         x += gain @ (np.append(sample[[YAW_RATE, AX, AY]], ekf.beta[k]) - h @ x)
         p = (np.eye(6) - gain @ h) @ p

@@ -8,7 +8,7 @@ from crosscomb.switch import switch as run_switch
 
 DT = 0.01
 N = 3000
-AT_ONCE = SwitchSettings(dwell=0.0, confirm=0.0, transition=0.0)
+AT_ONCE = SwitchSettings(dwell=0.0, confirm=0.0, transition=0.0, slew=1e9)
 
 
 def switch(beta, beta_std, decision, settings, dt, first):
@@ -83,7 +83,7 @@ def test_a_transition_has_no_bump_and_ends():
     beta = np.tile([0.0, 0.1], (N, 1))
     beta_std = np.full((N, 2), 0.01)
     decision = (np.arange(N) >= 1000).astype(int)
-    settings = SwitchSettings(transition=0.1)
+    settings = SwitchSettings(transition=0.1, slew=1e9)
     out, out_std, active = switch(beta, beta_std, decision, settings, DT, 0)
     at = int(np.flatnonzero(active)[0])
     step = np.diff(out)
@@ -98,7 +98,7 @@ def test_a_transition_has_no_bump_and_ends():
 
 def test_nervous_decisions_make_no_bump_either():
     beta, beta_std, decision = wandering()
-    settings = SwitchSettings(dwell=0.0, confirm=0.0, transition=0.1)
+    settings = SwitchSettings(dwell=0.0, confirm=0.0, transition=0.1, slew=1e9)
     out, _, active = switch(beta, beta_std, decision, settings, DT, 0)
     assert np.count_nonzero(np.diff(active)) > 50
     now = np.arange(1, N)
@@ -212,3 +212,11 @@ def test_an_active_filter_that_stands_still_gives_way():
     _, _, active = switch(beta, np.full((N, 2), 0.01), np.zeros(N, dtype=int), SwitchSettings(), DT, 0)
     assert set(active[:1040]) == set(active[1600:]) == {0}
     assert set(active[1060:1500]) == {1}
+
+
+def test_a_large_step_does_not_show_as_a_jump():
+    beta, beta_std = np.tile([0.0, 0.3], (N, 1)), np.full((N, 2), 0.01)  # 17 deg apart
+    out, _, active = switch(beta, beta_std, (np.arange(N) >= 1000).astype(int), SwitchSettings(), DT, 0)
+    assert set(active) == {0, 1}
+    assert np.degrees(np.abs(np.diff(out)).max()) < 0.3
+    assert out[1200] == pytest.approx(0.3, abs=1e-3)
