@@ -140,10 +140,10 @@ def switch_step(state, beta, beta_std, wanted, times):
                 break
     usable = math.isfinite(beta[wanted]) and math.isfinite(beta_std[wanted])
     if follow and wanted != current and usable and (lost or state.barred[wanted] == 0):
-        if not lost:
+        if not lost and state.barred[current] == 0:
             values[0] += beta[current] - beta[wanted] if counts[4] > 0 else 0.0
         elif counts[4] > 0 and math.isfinite(values[1]):
-            values[0] = values[1] - beta[wanted]  # the last answer stands in for the lost estimate
+            values[0] = values[1] - beta[wanted]  # the last answer stands in for what is lost or has jumped
         counts[0], counts[2] = wanted, 0
         current = wanted
     faded = (1.0 - times.decay) * values[0]

@@ -47,7 +47,7 @@ class TreeShape:
     pruning: float = 1e-4
 
 
-SHAPES = (TreeShape(3, 0.02), TreeShape(4, 0.01), TreeShape(5, 0.01))
+SHAPES = (TreeShape(3, 0.02), TreeShape(4, 0.01))
 
 
 @dataclass(frozen=True)
@@ -167,7 +167,7 @@ def to_tree(fitted: DecisionTreeClassifier, features: np.ndarray, n_filters: int
     )
 
 
-SURE = 1.0
+SURE = 2.0
 """A leaf departs from the best single filter where its gain is this many standard errors, over recordings."""
 
 LEAST_WITNESSES = 3
