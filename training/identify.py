@@ -1,0 +1,355 @@
+"""Find a car's parameters and its sensors' errors in logs, each with an interval or with a word why not.
+
+Order of the work: what standstill says of the offsets; what the ground truth, where there is any, says of the
+accelerometer and the latencies; a joint fit of car and sensors in gentle driving; the friction from hard driving;
+then the joint fit again, with everything held that the logs turned out not to tell.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from crosscomb.errors import UsageError
+from crosscomb.models.vehicle import Vehicle
+from crosscomb.signals import GRAVITY, Signals
+from crosscomb.training.identify_drive import RATE, Drive, make_drive, settled
+from crosscomb.training.identify_handling import (
+    CAR,
+    IN_VEHICLE,
+    LOG,
+    Belief,
+    Fit,
+    Problem,
+    before,
+    fit,
+    usual_understeer,
+)
+from crosscomb.training.identify_sensors import Kinematics, Known, ax_bias, kinematics, still_biases
+from crosscomb.training.recordings import Recording
+
+Z95 = 1.96
+LEAST_DRIVING = 5.0
+"""Seconds of gentle driving below which a log says nothing of the handling."""
+FRICTION_USED = 0.65
+"""Share of the friction that must have been used before its value is believed."""
+FRICTION_BEYOND = 1.15
+"""Friction assumed over the largest acceleration in use, while it is not known."""
+
+
+@dataclass(frozen=True)
+class Measure:
+    """How a parameter is judged.
+
+    Attributes
+    ----------
+    useful : float
+        Half width of the 95 % interval up to which a value is taken; relative where `relative`.
+    floor : float
+        Standard deviation that the model's own simplicity costs, however long the logs are; likewise.
+    """
+
+    unit: str
+    useful: float
+    floor: float
+    relative: bool = False
+    place: str = "map"
+
+
+MEASURES = {
+    "steering_ratio": Measure("-", 0.08, 0.004, True, "vehicle"),
+    "cornering_stiffness_front": Measure("N/rad", 0.35, 0.02, True, "vehicle"),
+    "cornering_stiffness_rear": Measure("N/rad", 0.35, 0.02, True, "vehicle"),
+    "yaw_inertia": Measure("kg m^2", 0.30, 0.04, True, "vehicle"),
+    "friction": Measure("-", 0.20, 0.04, True, "vehicle"),
+    "roll_gradient": Measure("rad per m/s^2", 0.004, 0.0008, False, "vehicle"),
+    "position": Measure("m", 0.35, 0.03),
+    "yaw_delay": Measure("s", 0.025, 0.0015),
+    "ay_delay": Measure("s", 0.025, 0.0015),
+    "beta_delay": Measure("s", 0.025, 0.0015),
+    "steer_offset": Measure("rad", 0.004, 0.0004),
+    "yaw_bias": Measure("rad/s", 0.004, 0.0002),
+    "ay_bias": Measure("m/s^2", 0.2, 0.01),
+    "ax_bias": Measure("m/s^2", 0.2, 0.01),
+    "beta_bias": Measure("rad", 0.006, 0.0005),
+}
+
+SAID = {
+    "position": "accelerometer ahead of the centre of gravity",
+    "yaw_delay": "yaw rate behind the steering angle",
+    "ay_delay": "lateral acceleration behind the steering angle",
+    "beta_delay": "ground truth behind the steering angle",
+    "steer_offset": "road-wheel angle straight ahead",
+    "yaw_bias": "offset of the yaw rate",
+    "ay_bias": "offset of the lateral acceleration",
+    "ax_bias": "offset of the longitudinal acceleration",
+    "beta_bias": "offset of the ground truth",
+}
+"""Plain words for parameters that no vehicle file has."""
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One parameter before and after.
+
+    Attributes
+    ----------
+    low, high : float
+        95 % interval of what the logs say; for an offset, of what it is in any one log.
+    taken : bool
+        `after` differs from `before` because the logs tell it.
+    word : str
+        ``found``, ``roughly``, or why the value was left as it was.
+    """
+
+    name: str
+    unit: str
+    before: float
+    after: float
+    low: float
+    high: float
+    taken: bool
+    word: str
+
+
+@dataclass(frozen=True)
+class Identification:
+    """What was found, with what pictures need.
+
+    Attributes
+    ----------
+    vehicle : Vehicle
+        With the values found.
+    findings : dict of str to Finding
+    fit, first : Fit
+        After and before.
+    problem : Problem
+        Drives and model errors.
+    ratio_open : bool
+        The steering ratio was sought: the steering angle was that of the hand wheel.
+    still : list of dict
+        Offsets at standstill of each drive.
+    kinematics : Kinematics, optional
+        What the ground truth alone said of the sensors.
+    """
+
+    vehicle: Vehicle
+    findings: dict[str, Finding]
+    fit: Fit
+    first: Fit
+    problem: Problem
+    ratio_open: bool
+    still: list[Known]
+    kinematics: Kinematics | None
+
+
+def identified_vehicle(
+    recordings: Sequence[Recording], vehicle: Vehicle, use_reference: bool = True
+) -> Vehicle:
+    """The vehicle with what the recordings tell of it; the same vehicle where they tell nothing.
+
+    Parameters
+    ----------
+    recordings : sequence of Recording
+        Of one car.
+    vehicle : Vehicle
+        Values before.
+    use_reference : bool
+        Use the ground truth of the recordings.
+    """
+    try:
+        return identify([recording.signals for recording in recordings], vehicle, use_reference).vehicle
+    except UsageError:
+        return vehicle
+
+
+def identify(logs: Sequence[Signals], vehicle: Vehicle, use_reference: bool = True) -> Identification:
+    """Find the parameters of one car and its sensors.
+
+    Parameters
+    ----------
+    logs : sequence of Signals
+        As measured. Without speed they count for the offsets at standstill only.
+    vehicle : Vehicle
+        Values before; mass, axle distances, tracks and the rest are believed.
+    use_reference : bool
+        Use ground truth where a log has it.
+
+    Raises
+    ------
+    UsageError
+        No log holds enough driving.
+    """
+    still = still_biases(logs)
+    made = [(make_drive(log, vehicle, use_reference), known) for log, known in zip(logs, still, strict=True)]
+    pairs = [
+        (drive, known)
+        for drive, known in made
+        if drive is not None and settled(drive.wild).sum() > LEAST_DRIVING * RATE
+    ]
+    if not pairs:
+        raise UsageError(
+            f"{logs[0].source if logs else 'no log'}: no log holds {LEAST_DRIVING:g} s of driving above "
+            f"walking pace: record a longer drive with bends to both sides"
+        )
+    drives = [drive for drive, _ in pairs]
+    known = [own for _, own in pairs]
+    ratio_open = all(drive.ratio_open for drive in drives)
+    truth = kinematics(drives, known, vehicle)
+    problem = Problem(
+        drives, vehicle, [_offsets(own) for own in known], _closed(vehicle, drives, ratio_open),
+        (usual_understeer(vehicle), *_kinematic_beliefs(truth)),
+    )  # fmt: skip
+    first = before(problem)
+    open_fit, fitted = fit(problem)
+    friction = _friction(fitted, open_fit)
+    held = _held(problem, open_fit)
+    fixed = problem.fixed | {name: before_value(vehicle, name) for name in held}
+    if friction is not None and _taken("friction", *friction):
+        fixed["friction"] = friction[0]
+    final, fitted = fit(replace(fitted, fixed=fixed), open_fit)
+    findings = _findings(vehicle, open_fit, final, held, friction, ratio_open)
+    along = ax_bias(drives, known)
+    if along is not None:
+        findings["ax_bias"] = _finding("ax_bias", 0.0, along[0], along[1])
+    return Identification(
+        _fitted(vehicle, findings), findings, final, first, fitted, ratio_open, known, truth
+    )
+
+
+def before_value(vehicle: Vehicle, name: str) -> float:
+    """Value before: the vehicle file's, or 0 of what no vehicle file holds."""
+    return float(getattr(vehicle, name)) if name in IN_VEHICLE else 0.0
+
+
+def _offsets(own: Known) -> Known:
+    return {name: own[key] for name, key in (("yaw_bias", "yaw_rate"), ("ay_bias", "ay")) if key in own}
+
+
+def _closed(vehicle: Vehicle, drives: Sequence[Drive], ratio_open: bool) -> dict[str, float]:
+    """What is not sought in the first fit, with the values taken instead."""
+    strongest = max(_strongest(drive) for drive in drives)
+    closed = {"friction": max(vehicle.friction, FRICTION_BEYOND * strongest / GRAVITY)}
+    if not ratio_open:
+        closed["steering_ratio"] = vehicle.steering_ratio
+    if not any(np.isfinite(drive.beta).any() for drive in drives):
+        closed |= {"beta_delay": 0.0, "beta_bias": 0.0}
+    return closed
+
+
+def _strongest(drive: Drive) -> float:
+    """Lateral acceleration [m/s^2] that is passed for a few tenths of a second only."""
+    rows = settled(drive.wild)
+    return float(np.percentile(np.abs(drive.ay[rows]), 99.0)) if rows.any() else 0.0
+
+
+def _kinematic_beliefs(truth: Kinematics | None) -> tuple[Belief, ...]:
+    """What the ground truth said of the sensors, for the joint fit."""
+    if truth is None:
+        return ()
+    return (
+        Belief(lambda car: car["position"], truth.position[0], np.hypot(truth.position[1], 0.03)),
+        Belief(lambda car: car["roll_gradient"], truth.roll_gradient[0], np.hypot(truth.roll_gradient[1], 5e-4)),
+        Belief(lambda car: car["yaw_delay"] - car["beta_delay"], truth.yaw_delay[0], np.hypot(truth.yaw_delay[1], 2e-3)),
+        Belief(lambda car: car["ay_delay"] - car["beta_delay"], truth.ay_delay[0], np.hypot(truth.ay_delay[1], 2e-3)),
+    )  # fmt: skip
+
+
+def _friction(problem: Problem, found: Fit) -> tuple[float, float, float] | None:
+    """Friction, its relative standard deviation and the share of it that was used; None without hard driving.
+
+    Only the friction is sought here, in all driving, with everything else as found in gentle driving.
+    """
+    strongest = max(_strongest(drive) for drive in problem.drives) / GRAVITY
+    if strongest < 0.5 * FRICTION_USED * problem.vehicle.friction:
+        return None
+    names = {one.name for one in (*CAR, *LOG)} - {"friction"}
+    logs_fixed = {name for name in names if name in {one.name for one in LOG}}
+    fixed = {name: found.car[name] for name in names - logs_fixed}
+    # The offsets stay open: they are each log's own.
+    closed = {name: 0.0 for name in logs_fixed if name in problem.fixed}
+    hard = replace(problem, fixed=fixed | closed, rows="wild", errors=np.zeros((0, 3)))
+    start = replace(found, car=found.car | {"friction": problem.fixed["friction"]})
+    result, _ = fit(hard, start)
+    value = result.car["friction"]
+    lean = 1.0 + GRAVITY * max(found.car["roll_gradient"], 0.0)
+    return value, result.car_std["friction"], strongest / lean / value
+
+
+def _taken(name: str, value: float, std: float, used: float = 1.0) -> bool:
+    measure = MEASURES[name]
+    return Z95 * float(np.hypot(std, measure.floor)) <= measure.useful and used >= FRICTION_USED
+
+
+def _held(problem: Problem, found: Fit) -> list[str]:
+    """Parameters of the car that the logs do not tell."""
+    return [one.name for one in problem.car_sought if not _taken(one.name, 0.0, found.car_std[one.name])]
+
+
+def _findings(
+    vehicle: Vehicle,
+    first: Fit,
+    final: Fit,
+    held: Sequence[str],
+    friction: tuple[float, float, float] | None,
+    ratio_open: bool,
+) -> dict[str, Finding]:
+    """Every finding: intervals of the fit in which all was open, values of the last one."""
+    findings = {}
+    for one in CAR:
+        start = before_value(vehicle, one.name)
+        if one.name == "friction":
+            findings[one.name] = _friction_finding(vehicle, friction)
+        elif one.name in first.car_std:
+            value = first.car[one.name] if one.name in held else final.car[one.name]
+            findings[one.name] = _finding(one.name, start, value, first.car_std[one.name])
+        elif one.name == "steering_ratio" and not ratio_open:
+            word = "the road-wheel angle is measured itself: left as it was"
+            findings[one.name] = Finding(one.name, "-", start, start, np.nan, np.nan, False, word)
+    for one in LOG:
+        found = [(fit[one.name], std[one.name]) for fit, std in zip(final.logs, final.log_std, strict=True) if one.name in std]
+        if found:
+            values, stds = np.array(found).T
+            weights = 1.0 / stds**2
+            mean = float(weights @ values / weights.sum())
+            scatter = float(weights @ (values - mean) ** 2 / weights.sum()) if len(values) > 1 else 0.0
+            std = float(np.sqrt(1.0 / weights.sum() + scatter))
+            findings[one.name] = _finding(one.name, 0.0, mean, std)
+    return findings
+
+
+def _finding(name: str, start: float, value: float, std: float) -> Finding:
+    measure = MEASURES[name]
+    half = Z95 * float(np.hypot(std, measure.floor))
+    low, high = (value * np.exp(-half), value * np.exp(half)) if measure.relative else (value - half, value + half)
+    taken = half <= measure.useful
+    if taken:
+        word = "found" if half <= 0.5 * measure.useful else "found, roughly"
+    else:
+        word = "not excited by these logs: left as it was"
+    return Finding(name, measure.unit, start, value if taken else start, float(low), float(high), taken, word)
+
+
+def _friction_finding(vehicle: Vehicle, friction: tuple[float, float, float] | None) -> Finding:
+    start = vehicle.friction
+    if friction is None:
+        word = "never driven hard enough: left as it was"
+        return Finding("friction", "-", start, start, np.nan, np.nan, False, word)
+    value, std, used = friction
+    finding = _finding("friction", start, value, std)
+    if used >= FRICTION_USED:
+        return finding
+    word = f"only {100.0 * used:.0f} % of it was used: left as it was"
+    return replace(finding, after=start, taken=False, word=word)
+
+
+def _fitted(vehicle: Vehicle, findings: dict[str, Finding]) -> Vehicle:
+    """The vehicle with what was found, inside what a vehicle file may hold."""
+    found = {name: findings[name].after for name in IN_VEHICLE if name in findings and findings[name].taken}
+    if "roll_gradient" in found:
+        found["roll_gradient"] = float(np.clip(found["roll_gradient"], 0.0, 0.099))
+    if "friction" in found:
+        found["friction"] = min(found["friction"], 3.0)
+    return Vehicle(**(vehicle.model_dump() | found))

@@ -1,0 +1,369 @@
+"""Handling parameters and sensor errors of one car, fitted jointly to what its sensors showed on many drives.
+
+Output-error fit of the nonlinear single track (`identify_motion`). What belongs to the car is common to all
+logs; offsets are each log's own. All that is sought is held near what is known already by a wide prior, so that
+a parameter without excitation keeps its value and shows a wide interval instead of running away.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from scipy.ndimage import maximum_filter1d
+
+from crosscomb.models.single_track import SingleTrack, single_track
+from crosscomb.models.vehicle import Vehicle
+from crosscomb.training.identify_drive import RATE, Drive, settled
+from crosscomb.training.identify_fit import Layout, Rows, covariance, solve
+from crosscomb.training.identify_motion import Motion, Sensing, run_model, sensed
+
+OUTPUTS = 3  # yaw rate, ay, beta of the reference
+FIRST_ERROR = (0.02, 0.4, 0.01)  # of the model before it is known [rad/s, m/s^2, rad]
+LEAST_ERROR = (0.004, 0.06, 0.002)
+THIN = 5
+"""Every fifth row is compared: the channels hold nothing faster."""
+BLOCK = int(2.0 * RATE)
+"""Rows whose errors are taken as dependent on each other for the intervals."""
+STRAIGHT_AY = 0.7
+STRAIGHT_ERROR = 4.0
+"""In straight driving, below this ay [m/s^2] for two seconds, errors count as so much larger: there the play and
+friction of the steering, and the road, decide what the car does."""
+
+
+@dataclass(frozen=True)
+class Sought:
+    """One parameter of the fit.
+
+    Attributes
+    ----------
+    spread : float
+        Standard deviation of the prior; of the logarithm where `positive`.
+    """
+
+    name: str
+    spread: float
+    positive: bool = False
+    step: float = 1e-3
+
+
+CAR = (
+    Sought("steering_ratio", 0.35, True),
+    Sought("cornering_stiffness_front", 0.6, True),
+    Sought("cornering_stiffness_rear", 0.6, True),
+    Sought("yaw_inertia", 0.3, True),
+    Sought("friction", 0.4, True),
+    Sought("roll_gradient", 0.006, step=1e-4),
+    Sought("position", 1.5, step=0.01),
+    Sought("yaw_delay", 0.06, step=0.002),
+    Sought("ay_delay", 0.06, step=0.002),
+    Sought("beta_delay", 0.06, step=0.002),
+)
+LOG = (
+    Sought("steer_offset", 0.03, step=1e-4),
+    Sought("yaw_bias", 0.01, step=1e-4),
+    Sought("ay_bias", 0.4, step=1e-2),
+    Sought("beta_bias", 0.01, step=1e-4),
+)
+IN_VEHICLE = {
+    "steering_ratio", "cornering_stiffness_front", "cornering_stiffness_rear", "yaw_inertia", "friction", "roll_gradient",
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Problem:
+    """What is fitted to what.
+
+    Attributes
+    ----------
+    drives : sequence of Drive
+    vehicle : Vehicle
+        Values before; also what is kept where nothing is sought.
+    known : list of dict
+        For each log, offsets known from standstill: name to (value, standard deviation).
+    fixed : dict
+        Values of parameters that are not sought.
+    beliefs : tuple of Belief
+    rows : str
+        ``gentle`` or ``wild``: which rows of the drives count.
+    errors : ndarray
+        ``(logs, OUTPUTS)`` standard deviation of the model's error.
+    """
+
+    drives: Sequence[Drive]
+    vehicle: Vehicle
+    known: list[dict[str, tuple[float, float]]]
+    fixed: dict[str, float] = field(default_factory=dict)
+    beliefs: tuple[Belief, ...] = ()
+    rows: str = "gentle"
+    errors: np.ndarray = field(default_factory=lambda: np.zeros((0, OUTPUTS)))
+
+    @property
+    def car_sought(self) -> list[Sought]:
+        """Parameters of the car that are open."""
+        return [one for one in CAR if one.name not in self.fixed]
+
+    @property
+    def log_sought(self) -> list[Sought]:
+        """Offsets of each log that are open."""
+        return [one for one in LOG if one.name not in self.fixed]
+
+
+@dataclass(frozen=True)
+class Fit:
+    """Result of a fit.
+
+    Attributes
+    ----------
+    car : dict
+        Every parameter of the car, sought or fixed.
+    logs : list of dict
+        Offsets of each log.
+    car_std, log_std
+        Their standard deviations; of the logarithm where the parameter is positive. Fixed ones are missing.
+    """
+
+    car: dict[str, float]
+    logs: list[dict[str, float]]
+    car_std: dict[str, float]
+    log_std: list[dict[str, float]]
+
+    def sensing(self, i: int) -> Sensing:
+        """How the sensors of log i see the car."""
+        return make_sensing(self.car, self.logs[i])
+
+
+def make_sensing(car: dict[str, float], offsets: dict[str, float]) -> Sensing:
+    """Gather what the sensors do from the parameters of the car and of one log."""
+    common = ("yaw_delay", "ay_delay", "beta_delay", "roll_gradient", "position")
+    return Sensing(ratio=car["steering_ratio"], **offsets, **{name: car[name] for name in common})
+
+
+def tyre_car(vehicle: Vehicle, car: dict[str, float]) -> SingleTrack:
+    """Single track with the parameters of a fit and the rational tyre.
+
+    Its curve is, up to the third power of the slip angle, that of the plant's default Magic Formula.
+    """
+    return single_track(vehicle, "rational")._replace(
+        yaw_inertia=car["yaw_inertia"],
+        stiffness_front=car["cornering_stiffness_front"],
+        stiffness_rear=car["cornering_stiffness_rear"],
+        friction=car["friction"],
+    )
+
+
+@dataclass(frozen=True)
+class Belief:
+    """Something known beforehand of the car's parameters together: a value with its standard deviation."""
+
+    of: Callable[[dict[str, float]], float]
+    value: float
+    std: float
+
+
+def understeer_gradient(vehicle: Vehicle) -> Callable[[dict[str, float]], float]:
+    """Understeer gradient [rad per m/s^2] as a function of the parameters of a fit."""
+    a, b, mass = vehicle.cg_to_front_axle, vehicle.cg_to_rear_axle, vehicle.mass
+
+    def gradient(car: dict[str, float]) -> float:
+        front, rear = car["cornering_stiffness_front"], car["cornering_stiffness_rear"]
+        return mass / (a + b) * (b / front - a / rear)
+
+    return gradient
+
+
+def usual_understeer(vehicle: Vehicle) -> Belief:
+    """Road cars understeer by 0 to 3.5 deg per g; without it, driving at one speed confuses this with the ratio."""
+    return Belief(understeer_gradient(vehicle), 0.003, 0.003)
+
+
+class _Runner:
+    """Residuals of one log; the last motions are kept, as most parameters only concern the sensors."""
+
+    def __init__(self, drive: Drive, vehicle: Vehicle, running: np.ndarray, errors: np.ndarray) -> None:
+        self.drive, self.vehicle, self.running, self.errors = drive, vehicle, running, errors
+        rows = settled(running)
+        rows[np.arange(len(rows)) % THIN != 0] = False
+        self.rows = [rows, rows, rows & np.isfinite(drive.beta)]
+        straight = maximum_filter1d(np.abs(drive.ay), int(2.0 * RATE)) < STRAIGHT_AY
+        self.unsure = np.where(straight, STRAIGHT_ERROR, 1.0)
+        self.kept: dict[tuple, Motion] = {}
+
+    def motion(self, car: dict[str, float], sensing: Sensing) -> Motion:
+        ratio = sensing.ratio if self.drive.ratio_open else 1.0
+        single = tyre_car(self.vehicle, car)
+        key = (single, ratio, sensing.steer_offset, sensing.yaw_bias, sensing.yaw_delay)
+        if key not in self.kept:
+            if len(self.kept) > 1:
+                self.kept.pop(next(reversed(self.kept)))
+            self.kept[key] = run_model(
+                self.drive, self.running, single, self.vehicle.tyre.relaxation_length, sensing._replace(ratio=ratio)
+            )
+        return self.kept[key]
+
+    def residuals(self, car: dict[str, float], offsets: dict[str, float]) -> np.ndarray:
+        sensing = make_sensing(car, offsets)
+        shown = sensed(self.motion(car, sensing), self.drive, sensing, self.vehicle)
+        measured = (self.drive.yaw_rate, self.drive.ay, self.drive.beta)
+        parts = [
+            (shown[i][rows] - measured[i][rows]) / (self.errors[i] * self.unsure[rows]) for i, rows in enumerate(self.rows)
+        ]
+        return np.nan_to_num(np.concatenate(parts), nan=50.0, posinf=50.0, neginf=-50.0)
+
+    def fresh(self) -> None:
+        """Forget the motions of other parameters."""
+        self.kept.clear()
+
+
+def fit(problem: Problem, start: Fit | None = None) -> tuple[Fit, Problem]:
+    """Fit once with guessed model errors, then with those that were found.
+
+    Parameters
+    ----------
+    problem : Problem
+        Its errors may be empty.
+    start : Fit, optional
+        Where to begin.
+
+    Returns
+    -------
+    Fit, Problem
+        The problem with the model errors that were found.
+    """
+    x = _first(problem, start)
+    if len(problem.errors) == 0:
+        problem = replace(problem, errors=np.tile(FIRST_ERROR, (len(problem.drives), 1)))
+        x = _solve(problem, x)[0]
+    problem = replace(problem, errors=_model_errors(problem, x))
+    x, spread = _solve(problem, x)
+    return _result(problem, x, np.sqrt(np.diag(spread))), problem
+
+
+def before(problem: Problem) -> Fit:
+    """The values before any fit, with what standstill says of the offsets."""
+    return _result(problem, _first(problem, None), None)
+
+
+def _first(problem: Problem, start: Fit | None) -> np.ndarray:
+    """Start vector: the parameters of the car, then the offsets log by log; logarithms of positive ones."""
+    values = []
+    for one in problem.car_sought:
+        value = start.car[one.name] if start else _before(problem.vehicle, one.name)
+        values.append(np.log(value) if one.positive else value)
+    for i, known in enumerate(problem.known):
+        for one in problem.log_sought:
+            values.append(start.logs[i][one.name] if start else known.get(one.name, (0.0, 0.0))[0])
+    return np.array(values)
+
+
+def _before(vehicle: Vehicle, name: str) -> float:
+    return float(getattr(vehicle, name)) if name in IN_VEHICLE else 0.0
+
+
+def _split(problem: Problem, x: np.ndarray) -> tuple[dict[str, float], list[dict[str, float]]]:
+    car = {one.name: _before(problem.vehicle, one.name) for one in CAR} | {
+        name: value for name, value in problem.fixed.items() if name not in {one.name for one in LOG}
+    }
+    sought, own = problem.car_sought, problem.log_sought
+    for one, value in zip(sought, x, strict=False):
+        car[one.name] = float(np.exp(np.clip(value, -20.0, 20.0)) if one.positive else value)
+    logs = []
+    for i in range(len(problem.drives)):
+        part = x[len(sought) + i * len(own) :][: len(own)]
+        offsets = {one.name: problem.fixed.get(one.name, 0.0) for one in LOG}
+        logs.append(offsets | {one.name: float(v) for one, v in zip(own, part, strict=True)})
+    return car, logs
+
+
+def _prior(problem: Problem) -> tuple[np.ndarray, np.ndarray]:
+    """Expected values and standard deviations of the parameter vector."""
+    centre = _first(problem, None)
+    spread = [one.spread for one in problem.car_sought]
+    for known in problem.known:
+        spread += [known.get(one.name, (0.0, one.spread))[1] for one in problem.log_sought]
+    return centre, np.array(spread)
+
+
+def _solve(problem: Problem, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Solution ``(p,)`` and its covariance ``(p, p)``."""
+    runners = [
+        _Runner(drive, problem.vehicle, getattr(drive, problem.rows), errors)
+        for drive, errors in zip(problem.drives, problem.errors, strict=True)
+    ]
+    centre, spread = _prior(problem)
+    steps = [one.step for one in problem.car_sought]
+    own = [one.step for one in problem.log_sought]
+    count = len(steps)
+
+    def each(x: np.ndarray) -> list[np.ndarray]:
+        car, logs = _split(problem, x)
+        for runner in runners:
+            runner.fresh()
+        return [runner.residuals(car, offsets) for runner, offsets in zip(runners, logs, strict=True)]
+
+    def slopes(x: np.ndarray) -> Rows:
+        base = each(x)
+        rows = np.cumsum([0, *(len(part) for part in base)])
+        jacobian = np.zeros((rows[-1], len(x)))
+        for j in range(count + len(own)):
+            for i, runner in enumerate(runners):
+                # An offset of one log moves the residuals of that log only.
+                column = j if j < count else j + i * len(own)
+                moved = x.copy()
+                moved[column] += steps[j] if j < count else own[j - count]
+                car, logs = _split(problem, moved)
+                change = runner.residuals(car, logs[i]) - base[i]
+                jacobian[rows[i] : rows[i + 1], column] = change / (moved[column] - x[column])
+        return np.concatenate(base), jacobian
+
+    def beliefs(x: np.ndarray) -> Rows:
+        known = [(belief.of(_split(problem, x)[0]) - belief.value) / belief.std for belief in problem.beliefs]
+        change = np.zeros((len(known), len(x)))
+        for j, step in enumerate(steps):
+            moved = x.copy()
+            moved[j] += step
+            car = _split(problem, moved)[0]
+            for i, belief in enumerate(problem.beliefs):
+                change[i, j] = ((belief.of(car) - belief.value) / belief.std - known[i]) / step
+        return np.concatenate([(x - centre) / spread, known]), np.vstack([np.diag(1.0 / spread), change])
+
+    x = solve(lambda x: np.concatenate(each(x)), slopes, beliefs, x)
+    z, jacobian = slopes(x)
+    return x, covariance(z, jacobian, beliefs(x)[1], _layout(runners))
+
+
+def _layout(runners: list[_Runner]) -> Layout:
+    blocks, series, begin, first = [], [], 0, 0
+    for runner in runners:
+        for rows in runner.rows:
+            blocks.append(first + np.flatnonzero(rows) // BLOCK)
+            series.append(slice(begin, begin + int(rows.sum())))
+            begin = series[-1].stop
+        first += len(runner.running) // BLOCK + 1
+    return Layout(np.concatenate(blocks), series)
+
+
+def _model_errors(problem: Problem, x: np.ndarray) -> np.ndarray:
+    """Standard deviation of each log's residuals ``(logs, OUTPUTS)``, outliers left aside."""
+    car, logs = _split(problem, x)
+    errors = []
+    for drive, old, offsets in zip(problem.drives, problem.errors, logs, strict=True):
+        runner = _Runner(drive, problem.vehicle, getattr(drive, problem.rows), old)
+        parts = np.split(runner.residuals(car, offsets), np.cumsum([rows.sum() for rows in runner.rows])[:-1])
+        own = [1.48 * float(np.median(np.abs(part))) if len(part) else 1.0 for part in parts]
+        errors.append([max(size * before, least) for size, before, least in zip(own, old, LEAST_ERROR, strict=True)])
+    return np.array(errors)
+
+
+def _result(problem: Problem, x: np.ndarray, std: np.ndarray | None) -> Fit:
+    car, logs = _split(problem, x)
+    sought, own = problem.car_sought, problem.log_sought
+    if std is None:
+        return Fit(car, logs, {}, [{} for _ in logs])
+    car_std = {one.name: float(value) for one, value in zip(sought, std, strict=False)}
+    log_std = []
+    for i in range(len(logs)):
+        part = std[len(sought) + i * len(own) :][: len(own)]
+        log_std.append({one.name: float(value) for one, value in zip(own, part, strict=True)})
+    return Fit(car, logs, car_std, log_std)
