@@ -1,8 +1,8 @@
 """Find a car's parameters and its sensors' errors in logs, each with an interval or with a word why not.
 
 Order of the work: what standstill says of the offsets; what the ground truth, where there is any, says of the
-accelerometer and the latencies; a joint fit of car and sensors in gentle driving; the friction from hard driving;
-then the joint fit again, with everything held that the logs turned out not to tell.
+accelerometer and the latencies; a joint fit of car and sensors in gentle driving; the friction from hard driving,
+and where that is found the joint fit once more. What the logs turn out not to tell keeps its value from before.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from crosscomb.training.recordings import Recording
 Z95 = 1.96
 LEAST_DRIVING = 5.0
 """Seconds of gentle driving below which a log says nothing of the handling."""
-FRICTION_USED = 0.65
+FRICTION_USED = 0.75
 """Share of the friction that must have been used before its value is believed."""
 FRICTION_BEYOND = 1.15
 """Friction assumed over the largest acceleration in use, while it is not known."""
@@ -65,6 +65,7 @@ MEASURES = {
     "yaw_inertia": Measure("kg m^2", 0.30, 0.04, True, "vehicle"),
     "friction": Measure("-", 0.20, 0.04, True, "vehicle"),
     "roll_gradient": Measure("rad per m/s^2", 0.004, 0.0008, False, "vehicle"),
+    "cg_to_rear_axle": Measure("m", 0.08, 0.01, False, "vehicle"),
     "position": Measure("m", 0.35, 0.03),
     "yaw_delay": Measure("s", 0.025, 0.0015),
     "ay_delay": Measure("s", 0.025, 0.0015),
@@ -173,7 +174,7 @@ def identify(logs: Sequence[Signals], vehicle: Vehicle, use_reference: bool = Tr
     logs : sequence of Signals
         As measured. Without speed they count for the offsets at standstill only.
     vehicle : Vehicle
-        Values before; mass, axle distances, tracks and the rest are believed.
+        Values before; mass, wheelbase, tracks and the rest are believed, the centre of gravity to 5 cm.
     use_reference : bool
         Use ground truth where a log has it.
 
@@ -203,14 +204,12 @@ def identify(logs: Sequence[Signals], vehicle: Vehicle, use_reference: bool = Tr
         (usual_understeer(vehicle), *_kinematic_beliefs(truth)),
     )  # fmt: skip
     first = before(problem)
-    open_fit, fitted = fit(problem)
-    friction = _friction(fitted, open_fit)
-    held = _held(problem, open_fit)
-    fixed = problem.fixed | {name: before_value(vehicle, name) for name in held}
-    if friction is not None and _taken("friction", *friction):
-        fixed["friction"] = friction[0]
-    final, fitted = fit(replace(fitted, fixed=fixed), open_fit)
-    findings = _findings(vehicle, open_fit, final, held, friction, ratio_open)
+    final, fitted = fit(problem)
+    friction = _friction_finding(vehicle, _friction(fitted, final))
+    if friction.taken:
+        fitted = replace(fitted, fixed=fitted.fixed | {"friction": friction.after})
+        final, fitted = fit(fitted, final)
+    findings = _findings(vehicle, final, ratio_open) | {"friction": friction}
     along = ax_bias(drives, known)
     if along is not None:
         findings["ax_bias"] = _finding("ax_bias", 0.0, along[0], along[1])
@@ -258,7 +257,7 @@ def _kinematic_beliefs(truth: Kinematics | None) -> tuple[Belief, ...]:
 
 
 def _friction(problem: Problem, found: Fit) -> tuple[float, float, float] | None:
-    """Friction, its relative standard deviation and the share of it that was used; None without hard driving.
+    """Friction, its relative standard deviation and what was used of it; None without hard driving.
 
     Only the friction is sought here, in all driving, with everything else as found in gentle driving.
     """
@@ -275,48 +274,28 @@ def _friction(problem: Problem, found: Fit) -> tuple[float, float, float] | None
     result, _ = fit(hard, start)
     value = result.car["friction"]
     lean = 1.0 + GRAVITY * max(found.car["roll_gradient"], 0.0)
-    return value, result.car_std["friction"], strongest / lean / value
+    return value, result.car_std["friction"], strongest / lean
 
 
-def _taken(name: str, value: float, std: float, used: float = 1.0) -> bool:
-    measure = MEASURES[name]
-    return Z95 * float(np.hypot(std, measure.floor)) <= measure.useful and used >= FRICTION_USED
-
-
-def _held(problem: Problem, found: Fit) -> list[str]:
-    """Parameters of the car that the logs do not tell."""
-    return [one.name for one in problem.car_sought if not _taken(one.name, 0.0, found.car_std[one.name])]
-
-
-def _findings(
-    vehicle: Vehicle,
-    first: Fit,
-    final: Fit,
-    held: Sequence[str],
-    friction: tuple[float, float, float] | None,
-    ratio_open: bool,
-) -> dict[str, Finding]:
-    """Every finding: intervals of the fit in which all was open, values of the last one."""
+def _findings(vehicle: Vehicle, found: Fit, ratio_open: bool) -> dict[str, Finding]:
+    """Every finding of the joint fit."""
     findings = {}
     for one in CAR:
         start = before_value(vehicle, one.name)
-        if one.name == "friction":
-            findings[one.name] = _friction_finding(vehicle, friction)
-        elif one.name in first.car_std:
-            value = first.car[one.name] if one.name in held else final.car[one.name]
-            findings[one.name] = _finding(one.name, start, value, first.car_std[one.name])
+        if one.name in found.car_std:
+            findings[one.name] = _finding(one.name, start, found.car[one.name], found.car_std[one.name])
         elif one.name == "steering_ratio" and not ratio_open:
             word = "the road-wheel angle is measured itself: left as it was"
             findings[one.name] = Finding(one.name, "-", start, start, np.nan, np.nan, False, word)
     for one in LOG:
-        found = [(fit[one.name], std[one.name]) for fit, std in zip(final.logs, final.log_std, strict=True) if one.name in std]
-        if found:
-            values, stds = np.array(found).T
-            weights = 1.0 / stds**2
-            mean = float(weights @ values / weights.sum())
-            scatter = float(weights @ (values - mean) ** 2 / weights.sum()) if len(values) > 1 else 0.0
-            std = float(np.sqrt(1.0 / weights.sum() + scatter))
-            findings[one.name] = _finding(one.name, 0.0, mean, std)
+        if one.name in found.log_std[0]:
+            values = np.array([offsets[one.name] for offsets in found.logs])
+            weights = np.array([1.0 / std[one.name] ** 2 for std in found.log_std])
+            weights, least = weights / weights.sum(), 1.0 / weights.sum()
+            mean = float(weights @ values)
+            # The interval holds what the offset is in any one log.
+            scatter = float(weights @ (values - mean) ** 2)
+            findings[one.name] = _finding(one.name, 0.0, mean, float(np.sqrt(least + scatter)))
     return findings
 
 
@@ -332,17 +311,24 @@ def _finding(name: str, start: float, value: float, std: float) -> Finding:
     return Finding(name, measure.unit, start, value if taken else start, float(low), float(high), taken, word)
 
 
-def _friction_finding(vehicle: Vehicle, friction: tuple[float, float, float] | None) -> Finding:
+def _friction_finding(vehicle: Vehicle, found: tuple[float, float, float] | None) -> Finding:
     start = vehicle.friction
-    if friction is None:
+    if found is None:
         word = "never driven hard enough: left as it was"
         return Finding("friction", "-", start, start, np.nan, np.nan, False, word)
-    value, std, used = friction
-    finding = _finding("friction", start, value, std)
-    if used >= FRICTION_USED:
-        return finding
-    word = f"only {100.0 * used:.0f} % of it was used: left as it was"
-    return replace(finding, after=start, taken=False, word=word)
+    value, std, used = found
+    if value < used:
+        # The single track errs there; what the car did is certain.
+        if used <= start:
+            word = f"the model of this car errs at the limit; {used:.2f} was used: left as it was"
+            return Finding("friction", "-", start, start, used, np.nan, False, word)
+        high = used * FRICTION_BEYOND
+        return Finding("friction", "-", start, used, used, high, True, "at least: so much was used")
+    if used < FRICTION_USED * value:
+        finding = _finding("friction", start, value, std)
+        word = f"only {100.0 * used / value:.0f} % of it was used: left as it was"
+        return replace(finding, after=start, taken=False, word=word)
+    return _finding("friction", start, value, std)
 
 
 def _fitted(vehicle: Vehicle, findings: dict[str, Finding]) -> Vehicle:
@@ -350,6 +336,8 @@ def _fitted(vehicle: Vehicle, findings: dict[str, Finding]) -> Vehicle:
     found = {name: findings[name].after for name in IN_VEHICLE if name in findings and findings[name].taken}
     if "roll_gradient" in found:
         found["roll_gradient"] = float(np.clip(found["roll_gradient"], 0.0, 0.099))
+    if "cg_to_rear_axle" in found:
+        found["cg_to_front_axle"] = vehicle.wheelbase - found["cg_to_rear_axle"]
     if "friction" in found:
         found["friction"] = min(found["friction"], 3.0)
     return Vehicle(**(vehicle.model_dump() | found))

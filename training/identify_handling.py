@@ -54,6 +54,7 @@ CAR = (
     Sought("cornering_stiffness_rear", 0.6, True),
     Sought("yaw_inertia", 0.3, True),
     Sought("friction", 0.4, True),
+    Sought("cg_to_rear_axle", 0.05, step=0.005),
     Sought("roll_gradient", 0.006, step=1e-4),
     Sought("position", 1.5, step=0.01),
     Sought("yaw_delay", 0.06, step=0.002),
@@ -68,6 +69,7 @@ LOG = (
 )
 IN_VEHICLE = {
     "steering_ratio", "cornering_stiffness_front", "cornering_stiffness_rear", "yaw_inertia", "friction", "roll_gradient",
+    "cg_to_rear_axle",
 }  # fmt: skip
 
 
@@ -146,6 +148,8 @@ def tyre_car(vehicle: Vehicle, car: dict[str, float]) -> SingleTrack:
     Its curve is, up to the third power of the slip angle, that of the plant's default Magic Formula.
     """
     return single_track(vehicle, "rational")._replace(
+        a=vehicle.wheelbase - car["cg_to_rear_axle"],
+        b=car["cg_to_rear_axle"],
         yaw_inertia=car["yaw_inertia"],
         stiffness_front=car["cornering_stiffness_front"],
         stiffness_rear=car["cornering_stiffness_rear"],
@@ -164,11 +168,11 @@ class Belief:
 
 def understeer_gradient(vehicle: Vehicle) -> Callable[[dict[str, float]], float]:
     """Understeer gradient [rad per m/s^2] as a function of the parameters of a fit."""
-    a, b, mass = vehicle.cg_to_front_axle, vehicle.cg_to_rear_axle, vehicle.mass
 
     def gradient(car: dict[str, float]) -> float:
         front, rear = car["cornering_stiffness_front"], car["cornering_stiffness_rear"]
-        return mass / (a + b) * (b / front - a / rear)
+        b = car["cg_to_rear_axle"]
+        return vehicle.mass / vehicle.wheelbase * (b / front - (vehicle.wheelbase - b) / rear)
 
     return gradient
 
