@@ -15,7 +15,6 @@ import numpy as np
 from crosscomb.models.plant import make_plant
 from crosscomb.models.vehicle import Vehicle, load_vehicle
 from crosscomb.signals import Signals, make_signals
-from crosscomb.training.driver import start
 from crosscomb.training.identify import identify
 from crosscomb.training.manoeuvres import MANOEUVRES
 from crosscomb.training.road import draw_road
@@ -38,7 +37,13 @@ BARS = {
     "ay_bias": 0.03,
     "ax_bias": 0.03,
 }
-RELATIVE = ("cornering_stiffness_front", "cornering_stiffness_rear", "steering_ratio", "yaw_inertia", "friction")
+RELATIVE = (
+    "cornering_stiffness_front",
+    "cornering_stiffness_rear",
+    "steering_ratio",
+    "yaw_inertia",
+    "friction",
+)
 
 
 @dataclass(frozen=True)
@@ -95,7 +100,9 @@ def _drive(true: Vehicle, manoeuvre: str, duration: float, faults: SensorFaults,
     n = round(duration * 100)
     road = draw_road(true, "dry", 0.9, n, rng, level=True)
     plan = MANOEUVRES[manoeuvre](Scene(make_plant(true), true.plant.top_speed, road, rng))
-    return make_signals(measure(run_plan(plan, make_plant(true), draw_driver(rng)), true, faults, rng), manoeuvre)
+    return make_signals(
+        measure(run_plan(plan, make_plant(true), draw_driver(rng)), true, faults, rng), manoeuvre
+    )
 
 
 def main() -> None:
@@ -112,7 +119,9 @@ def main() -> None:
             errors.setdefault(name, []).append(value / true - 1.0 if name in RELATIVE else value - true)
             held.setdefault(name, []).append(one.low <= true <= one.high)
             taken.setdefault(name, []).append(one.taken)
-    print(f"{'parameter':28s} {'taken':>6s} {'mean':>9s} {'largest':>9s} {'bar':>7s} {'in bar':>7s} {'covered':>8s}")
+    print(
+        f"{'parameter':28s} {'taken':>6s} {'mean':>9s} {'largest':>9s} {'bar':>7s} {'in bar':>7s} {'covered':>8s}"
+    )
     for name, values in errors.items():
         found = np.array(values)[taken[name]] if any(taken[name]) else np.array(values)
         bar = BARS.get(name, np.nan)

@@ -1,8 +1,8 @@
 """Find a car's parameters and its sensors' errors in logs, each with an interval or with a word why not.
 
 Order of the work: what standstill says of the offsets; what the ground truth, where there is any, says of the
-accelerometer and the latencies; a joint fit of car and sensors in gentle driving; the friction from hard driving,
-and where that is found the joint fit once more. What the logs turn out not to tell keeps its value from before.
+accelerometer and the latencies; then a joint fit of car and sensors. What the logs turn out not to tell keeps its
+value from before.
 """
 
 from __future__ import annotations
@@ -199,22 +199,22 @@ def identify(logs: Sequence[Signals], vehicle: Vehicle, use_reference: bool = Tr
     known = [own for _, own in pairs]
     ratio_open = all(drive.ratio_open for drive in drives)
     truth = kinematics(drives, known, vehicle)
+    used = max(_strongest(drive) for drive in drives) / GRAVITY
+    # What is sought begins at the least friction that may have been enough.
+    enough = vehicle.model_copy(update={"friction": max(vehicle.friction, FRICTION_BEYOND * used)})
     problem = Problem(
-        drives, vehicle, [_offsets(own) for own in known], _closed(vehicle, drives, ratio_open),
+        drives, enough, [_offsets(own) for own in known], _closed(vehicle, drives, ratio_open),
         (usual_understeer(vehicle), *_kinematic_beliefs(truth)),
     )  # fmt: skip
     first = before(problem)
-    final, fitted = fit(problem)
-    friction = _friction_finding(vehicle, _friction(fitted, final))
-    if friction.taken:
-        fitted = replace(fitted, fixed=fitted.fixed | {"friction": friction.after})
-        final, fitted = fit(fitted, final)
-    findings = _findings(vehicle, final, ratio_open) | {"friction": friction}
+    found, fitted = fit(problem)
+    findings = _findings(vehicle, found, ratio_open)
+    findings["friction"] = _friction_finding(vehicle.friction, findings["friction"], used, found)
     along = ax_bias(drives, known)
     if along is not None:
         findings["ax_bias"] = _finding("ax_bias", 0.0, along[0], along[1])
     return Identification(
-        _fitted(vehicle, findings), findings, final, first, fitted, ratio_open, known, truth
+        _fitted(vehicle, findings), findings, found, first, fitted, ratio_open, known, truth
     )
 
 
@@ -228,11 +228,8 @@ def _offsets(own: Known) -> Known:
 
 
 def _closed(vehicle: Vehicle, drives: Sequence[Drive], ratio_open: bool) -> dict[str, float]:
-    """What is not sought in the first fit, with the values taken instead."""
-    strongest = max(_strongest(drive) for drive in drives)
-    closed = {"friction": max(vehicle.friction, FRICTION_BEYOND * strongest / GRAVITY)}
-    if not ratio_open:
-        closed["steering_ratio"] = vehicle.steering_ratio
+    """What is not sought, with the values taken instead."""
+    closed = {} if ratio_open else {"steering_ratio": vehicle.steering_ratio}
     if not any(np.isfinite(drive.beta).any() for drive in drives):
         closed |= {"beta_delay": 0.0, "beta_bias": 0.0}
     return closed
@@ -254,27 +251,6 @@ def _kinematic_beliefs(truth: Kinematics | None) -> tuple[Belief, ...]:
         Belief(lambda car: car["yaw_delay"] - car["beta_delay"], truth.yaw_delay[0], np.hypot(truth.yaw_delay[1], 2e-3)),
         Belief(lambda car: car["ay_delay"] - car["beta_delay"], truth.ay_delay[0], np.hypot(truth.ay_delay[1], 2e-3)),
     )  # fmt: skip
-
-
-def _friction(problem: Problem, found: Fit) -> tuple[float, float, float] | None:
-    """Friction, its relative standard deviation and what was used of it; None without hard driving.
-
-    Only the friction is sought here, in all driving, with everything else as found in gentle driving.
-    """
-    strongest = max(_strongest(drive) for drive in problem.drives) / GRAVITY
-    if strongest < 0.5 * FRICTION_USED * problem.vehicle.friction:
-        return None
-    names = {one.name for one in (*CAR, *LOG)} - {"friction"}
-    logs_fixed = {name for name in names if name in {one.name for one in LOG}}
-    fixed = {name: found.car[name] for name in names - logs_fixed}
-    # The offsets stay open: they are each log's own.
-    closed = {name: 0.0 for name in logs_fixed if name in problem.fixed}
-    hard = replace(problem, fixed=fixed | closed, rows="wild", errors=np.zeros((0, 3)))
-    start = replace(found, car=found.car | {"friction": problem.fixed["friction"]})
-    result, _ = fit(hard, start)
-    value = result.car["friction"]
-    lean = 1.0 + GRAVITY * max(found.car["roll_gradient"], 0.0)
-    return value, result.car_std["friction"], strongest / lean
 
 
 def _findings(vehicle: Vehicle, found: Fit, ratio_open: bool) -> dict[str, Finding]:
@@ -302,7 +278,9 @@ def _findings(vehicle: Vehicle, found: Fit, ratio_open: bool) -> dict[str, Findi
 def _finding(name: str, start: float, value: float, std: float) -> Finding:
     measure = MEASURES[name]
     half = Z95 * float(np.hypot(std, measure.floor))
-    low, high = (value * np.exp(-half), value * np.exp(half)) if measure.relative else (value - half, value + half)
+    low, high = (
+        (value * np.exp(-half), value * np.exp(half)) if measure.relative else (value - half, value + half)
+    )
     taken = half <= measure.useful
     if taken:
         word = "found" if half <= 0.5 * measure.useful else "found, roughly"
@@ -311,24 +289,20 @@ def _finding(name: str, start: float, value: float, std: float) -> Finding:
     return Finding(name, measure.unit, start, value if taken else start, float(low), float(high), taken, word)
 
 
-def _friction_finding(vehicle: Vehicle, found: tuple[float, float, float] | None) -> Finding:
-    start = vehicle.friction
-    if found is None:
-        word = "never driven hard enough: left as it was"
-        return Finding("friction", "-", start, start, np.nan, np.nan, False, word)
-    value, std, used = found
+def _friction_finding(start: float, finding: Finding, used: float, found: Fit) -> Finding:
+    """The friction counts where most of it was used; less than was used it cannot be."""
+    used = used / (1.0 + GRAVITY * max(found.car["roll_gradient"], 0.0))
+    value = found.car["friction"]
+    if value < used <= start:
+        word = f"{used:.2f} was used, and the model errs there: left as it was"
+        return replace(finding, after=start, low=used, high=np.nan, taken=False, word=word)
     if value < used:
-        # The single track errs there; what the car did is certain.
-        if used <= start:
-            word = f"the model of this car errs at the limit; {used:.2f} was used: left as it was"
-            return Finding("friction", "-", start, start, used, np.nan, False, word)
-        high = used * FRICTION_BEYOND
-        return Finding("friction", "-", start, used, used, high, True, "at least: so much was used")
+        word = "at least: so much was used"
+        return replace(finding, after=used, low=used, high=used * FRICTION_BEYOND, taken=True, word=word)
     if used < FRICTION_USED * value:
-        finding = _finding("friction", start, value, std)
         word = f"only {100.0 * used / value:.0f} % of it was used: left as it was"
         return replace(finding, after=start, taken=False, word=word)
-    return _finding("friction", start, value, std)
+    return finding
 
 
 def _fitted(vehicle: Vehicle, findings: dict[str, Finding]) -> Vehicle:

@@ -18,8 +18,8 @@ CUT_OFF = 4.0
 """Everything above [Hz] is taken out of all channels alike, so that they keep their phase to each other."""
 LONGEST_GAP = 0.15  # [s] a longer one is not bridged
 SETTLING = 0.8  # [s] of the model, after a start or a slide
-GENTLE_AY = 4.5
-"""Lateral acceleration [m/s^2] up to which every dry-road tyre is nearly linear."""
+NORMAL_AY = 8.0
+"""Lateral acceleration [m/s^2] up to which the single track holds on a dry road; beyond, everything slides."""
 MOST_AX = 3.0  # [m/s^2] under harder braking or drive the single track is wrong
 STANDSTILL_SPEED = 0.15  # [m/s] some speed sensors rest above zero
 ENDS = 8
@@ -44,10 +44,10 @@ class Drive:
         Ground truth; NaN where there is none.
     ratio_open : bool
         The steering ratio may be found from this log.
-    gentle : bool
-        Rows in which the tyres are nearly linear.
+    normal : bool
+        Rows below the limit, in which the single track holds.
     wild : bool
-        Rows with any lateral acceleration in which the single track may be run.
+        Rows with any lateral acceleration.
     """
 
     name: str
@@ -60,7 +60,7 @@ class Drive:
     steer_rear: np.ndarray
     beta: np.ndarray
     ratio_open: bool
-    gentle: np.ndarray
+    normal: np.ndarray
     wild: np.ndarray
 
 
@@ -111,7 +111,7 @@ def make_drive(signals: Signals, vehicle: Vehicle, use_reference: bool = True) -
         return None
     return Drive(
         name=signals.name, t=grid, vx=vx, ax=ax, ay=ay, yaw_rate=yaw_rate, hand=hand, steer_rear=rear, beta=beta,
-        ratio_open=ratio_open, gentle=drivable & (np.abs(ay) < GENTLE_AY), wild=drivable,
+        ratio_open=ratio_open, normal=drivable & (np.abs(ay) < NORMAL_AY), wild=drivable,
     )  # fmt: skip
 
 

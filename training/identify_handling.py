@@ -26,6 +26,8 @@ THIN = 5
 """Every fifth row is compared: the channels hold nothing faster."""
 BLOCK = int(2.0 * RATE)
 """Rows whose errors are taken as dependent on each other for the intervals."""
+LINEAR_AY = 2.5
+"""Above this ay [m/s^2] errors count as larger by the square of the excess: there the tyre law errs first."""
 STRAIGHT_AY = 0.7
 STRAIGHT_ERROR = 4.0
 """In straight driving, below this ay [m/s^2] for two seconds, errors count as so much larger: there the play and
@@ -50,10 +52,10 @@ class Sought:
 
 CAR = (
     Sought("steering_ratio", 0.35, True),
-    Sought("cornering_stiffness_front", 0.6, True),
-    Sought("cornering_stiffness_rear", 0.6, True),
+    Sought("cornering_stiffness_front", 0.35, True),
+    Sought("cornering_stiffness_rear", 0.35, True),
     Sought("yaw_inertia", 0.3, True),
-    Sought("friction", 0.4, True),
+    Sought("friction", 0.25, True),
     Sought("cg_to_rear_axle", 0.05, step=0.005),
     Sought("roll_gradient", 0.006, step=1e-4),
     Sought("position", 1.5, step=0.01),
@@ -87,8 +89,6 @@ class Problem:
     fixed : dict
         Values of parameters that are not sought.
     beliefs : tuple of Belief
-    rows : str
-        ``gentle`` or ``wild``: which rows of the drives count.
     errors : ndarray
         ``(logs, OUTPUTS)`` standard deviation of the model's error.
     """
@@ -98,7 +98,6 @@ class Problem:
     known: list[dict[str, tuple[float, float]]]
     fixed: dict[str, float] = field(default_factory=dict)
     beliefs: tuple[Belief, ...] = ()
-    rows: str = "gentle"
     errors: np.ndarray = field(default_factory=lambda: np.zeros((0, OUTPUTS)))
 
     @property
@@ -191,7 +190,8 @@ class _Runner:
         rows[np.arange(len(rows)) % THIN != 0] = False
         self.rows = [rows, rows, rows & np.isfinite(drive.beta)]
         straight = maximum_filter1d(np.abs(drive.ay), int(2.0 * RATE)) < STRAIGHT_AY
-        self.unsure = np.where(straight, STRAIGHT_ERROR, 1.0)
+        near_limit = np.maximum(1.0, (drive.ay / LINEAR_AY) ** 2)
+        self.unsure = np.where(straight, STRAIGHT_ERROR, near_limit)
         self.kept: dict[tuple, Motion] = {}
 
     def motion(self, car: dict[str, float], sensing: Sensing) -> Motion:
@@ -202,7 +202,11 @@ class _Runner:
             if len(self.kept) > 1:
                 self.kept.pop(next(reversed(self.kept)))
             self.kept[key] = run_model(
-                self.drive, self.running, single, self.vehicle.tyre.relaxation_length, sensing._replace(ratio=ratio)
+                self.drive,
+                self.running,
+                single,
+                self.vehicle.tyre.relaxation_length,
+                sensing._replace(ratio=ratio),
             )
         return self.kept[key]
 
@@ -211,7 +215,8 @@ class _Runner:
         shown = sensed(self.motion(car, sensing), self.drive, sensing, self.vehicle)
         measured = (self.drive.yaw_rate, self.drive.ay, self.drive.beta)
         parts = [
-            (shown[i][rows] - measured[i][rows]) / (self.errors[i] * self.unsure[rows]) for i, rows in enumerate(self.rows)
+            (shown[i][rows] - measured[i][rows]) / (self.errors[i] * self.unsure[rows])
+            for i, rows in enumerate(self.rows)
         ]
         return np.nan_to_num(np.concatenate(parts), nan=50.0, posinf=50.0, neginf=-50.0)
 
@@ -292,7 +297,7 @@ def _prior(problem: Problem) -> tuple[np.ndarray, np.ndarray]:
 def _solve(problem: Problem, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Solution ``(p,)`` and its covariance ``(p, p)``."""
     runners = [
-        _Runner(drive, problem.vehicle, getattr(drive, problem.rows), errors)
+        _Runner(drive, problem.vehicle, drive.normal, errors)
         for drive, errors in zip(problem.drives, problem.errors, strict=True)
     ]
     centre, spread = _prior(problem)
@@ -353,10 +358,12 @@ def _model_errors(problem: Problem, x: np.ndarray) -> np.ndarray:
     car, logs = _split(problem, x)
     errors = []
     for drive, old, offsets in zip(problem.drives, problem.errors, logs, strict=True):
-        runner = _Runner(drive, problem.vehicle, getattr(drive, problem.rows), old)
+        runner = _Runner(drive, problem.vehicle, drive.normal, old)
         parts = np.split(runner.residuals(car, offsets), np.cumsum([rows.sum() for rows in runner.rows])[:-1])
         own = [1.48 * float(np.median(np.abs(part))) if len(part) else 1.0 for part in parts]
-        errors.append([max(size * before, least) for size, before, least in zip(own, old, LEAST_ERROR, strict=True)])
+        errors.append(
+            [max(size * before, least) for size, before, least in zip(own, old, LEAST_ERROR, strict=True)]
+        )
     return np.array(errors)
 
 

@@ -20,7 +20,6 @@ from crosscomb.models.vehicle import Vehicle
 from crosscomb.signals import GRAVITY
 from crosscomb.training.identify_drive import RATE, Drive
 
-
 HOLD = 1.0
 """How strongly the model's yaw rate is drawn to the measured one [1/s].
 
@@ -103,8 +102,9 @@ def sensed(
     """
     known = np.where(np.isfinite(motion.ay), motion.ay, drive.ay)
     felt = motion.ay + GRAVITY * sensing.roll_gradient * lean(known, vehicle)
-    felt = felt + sensing.position * motion.yaw_acceleration
     t = drive.t
+    # The lever arm acts with the turning that was measured: no model is needed for it.
+    felt = felt + sensing.position * np.interp(t + sensing.yaw_delay, t, np.gradient(drive.yaw_rate, t))
     return (
         np.interp(t - sensing.yaw_delay, t, motion.yaw_rate) + sensing.yaw_bias,
         np.interp(t - sensing.ay_delay, t, felt) + sensing.ay_bias,

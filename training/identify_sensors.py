@@ -61,11 +61,11 @@ def ax_bias(drives: Sequence[Drive], known: Sequence[Known]) -> tuple[float, flo
     """Offset of ax and its standard deviation [m/s^2]; None where nothing tells it.
 
     From ax = bias + k d(vx)/dt over all driving, where k holds the pitch of the body, together with standstill.
-    A road's slope counts as a lasting error; what the sideslip adds, -vy yaw_rate, is small in gentle driving.
+    A road's slope counts as a lasting error; what the sideslip adds, -vy yaw_rate, is small below the limit.
     """
     values, weights = [], []
     for drive, own in zip(drives, known, strict=True):
-        rows = np.flatnonzero(drive.gentle)[::THIN]
+        rows = np.flatnonzero(drive.normal)[::THIN]
         if len(rows) > 50 and np.isfinite(drive.ax[rows]).all():
             pull = np.gradient(drive.vx, drive.t)[rows]
             design = np.column_stack([np.ones(len(rows)), pull])
@@ -147,7 +147,9 @@ def kinematics(drives: Sequence[Drive], known: Sequence[Known], vehicle: Vehicle
     def slopes(x: np.ndarray) -> Rows:
         base = residuals(x)
         steps = np.concatenate([KINEMATIC_STEP, np.tile([1e-4, 1e-2], len(truths))])
-        change = [(residuals(x + step * one) - base) / step for step, one in zip(steps, np.eye(len(x)), strict=True)]
+        change = [
+            (residuals(x + step * one) - base) / step for step, one in zip(steps, np.eye(len(x)), strict=True)
+        ]
         return base, np.column_stack(change)
 
     def beliefs(x: np.ndarray) -> Rows:
@@ -179,8 +181,9 @@ class _Truth:
         self.drive, self.rows = drive, rows
         self.lateral = np.gradient(drive.vx * np.tan(drive.beta), drive.t)
         self.turning = np.gradient(drive.yaw_rate, drive.t)
-        # How far the body lags behind is the same for the measured ay.
-        self.lagging = lean(drive.ay, vehicle) - drive.ay
+        asked = self.lateral + drive.vx * drive.yaw_rate
+        asked = np.where(np.isfinite(asked), asked, drive.ay)
+        self.lagging = lean(asked, vehicle) - asked
 
     def residuals(self, sensor: np.ndarray, yaw_bias: float, ay_bias: float) -> np.ndarray:
         position, roll_gradient, yaw_delay, ay_delay = sensor
