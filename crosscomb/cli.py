@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from crosscomb import __version__
+from crosscomb import __version__, cli_identify
 from crosscomb.errors import UsageError
 
 app = typer.Typer(
@@ -226,6 +226,9 @@ def train(
         )
     terminal.show_confusion(training.folds.confusion, row_shares(training.folds.confusion), names)
     terminal.say(f"written: {output}, {', '.join(path.name for path in paths)}")
+
+
+app.command()(cli_identify.identify)
 
 
 @app.command()

@@ -14,7 +14,7 @@ import numpy as np
 
 from crosscomb.errors import UsageError
 from crosscomb.models.vehicle import Vehicle
-from crosscomb.signals import GRAVITY, Signals
+from crosscomb.signals import GRAVITY, REFERENCES, Signals
 from crosscomb.training.identify_drive import RATE, Drive, make_drive, settled
 from crosscomb.training.identify_handling import (
     CAR,
@@ -28,6 +28,7 @@ from crosscomb.training.identify_handling import (
     usual_understeer,
 )
 from crosscomb.training.identify_sensors import Kinematics, Known, ax_bias, kinematics, still_biases
+from crosscomb.training.identify_tyres import AxleCurve, tyre_curves
 from crosscomb.training.recordings import Recording
 
 Z95 = 1.96
@@ -55,27 +56,29 @@ class Measure:
     useful: float
     floor: float
     relative: bool = False
-    place: str = "map"
 
 
 MEASURES = {
-    "steering_ratio": Measure("-", 0.08, 0.004, True, "vehicle"),
-    "cornering_stiffness_front": Measure("N/rad", 0.35, 0.02, True, "vehicle"),
-    "cornering_stiffness_rear": Measure("N/rad", 0.35, 0.02, True, "vehicle"),
-    "yaw_inertia": Measure("kg m^2", 0.30, 0.04, True, "vehicle"),
-    "friction": Measure("-", 0.20, 0.04, True, "vehicle"),
-    "roll_gradient": Measure("rad per m/s^2", 0.004, 0.0008, False, "vehicle"),
-    "cg_to_rear_axle": Measure("m", 0.08, 0.01, False, "vehicle"),
-    "position": Measure("m", 0.35, 0.03),
-    "yaw_delay": Measure("s", 0.025, 0.0015),
-    "ay_delay": Measure("s", 0.025, 0.0015),
+    "steering_ratio": Measure("-", 0.08, 0.006, True),
+    "cornering_stiffness_front": Measure("N/rad", 0.35, 0.025, True),
+    "cornering_stiffness_rear": Measure("N/rad", 0.35, 0.025, True),
+    "yaw_inertia": Measure("kg m^2", 0.30, 0.04, True),
+    "friction": Measure("-", 0.20, 0.04, True),
+    "roll_gradient": Measure("rad per m/s^2", 0.004, 0.0008),
+    "cg_to_rear_axle": Measure("m", 0.08, 0.01),
+    "position": Measure("m", 0.35, 0.05),
+    "yaw_delay": Measure("s", 0.025, 0.002),
+    "ay_delay": Measure("s", 0.025, 0.004),
     "beta_delay": Measure("s", 0.025, 0.0015),
     "steer_offset": Measure("rad", 0.004, 0.0004),
     "yaw_bias": Measure("rad/s", 0.004, 0.0002),
     "ay_bias": Measure("m/s^2", 0.2, 0.01),
     "ax_bias": Measure("m/s^2", 0.2, 0.01),
+    "tyre.shape": Measure("-", 0.25, 0.03, True),
     "beta_bias": Measure("rad", 0.006, 0.0005),
 }
+
+TYRE_UNITS = {"c1": "rad^2", "c2": "N/rad", "B": "1/rad", "C": "-", "D": "-"}
 
 SAID = {
     "position": "accelerometer ahead of the centre of gravity",
@@ -130,10 +133,12 @@ class Identification:
         Drives and model errors.
     ratio_open : bool
         The steering ratio was sought: the steering angle was that of the hand wheel.
-    still : list of dict
-        Offsets at standstill of each drive.
     kinematics : Kinematics, optional
         What the ground truth alone said of the sensors.
+    references : tuple of str
+        Columns of ground truth in the logs.
+    tyres : dict of str to AxleCurve, optional
+        ``front`` and ``rear``.
     """
 
     vehicle: Vehicle
@@ -142,8 +147,9 @@ class Identification:
     first: Fit
     problem: Problem
     ratio_open: bool
-    still: list[Known]
     kinematics: Kinematics | None
+    references: tuple[str, ...]
+    tyres: dict[str, AxleCurve] | None
 
 
 def identified_vehicle(
@@ -213,9 +219,45 @@ def identify(logs: Sequence[Signals], vehicle: Vehicle, use_reference: bool = Tr
     along = ax_bias(drives, known)
     if along is not None:
         findings["ax_bias"] = _finding("ax_bias", 0.0, along[0], along[1])
+    references = tuple(name for name in REFERENCES if any(log.has(name) for log in logs))
+    fitted_vehicle = _fitted(vehicle, findings)
+    tyres = tyre_curves(drives, fitted_vehicle, found)
+    findings |= _tyre_findings(fitted_vehicle, tyres)
     return Identification(
-        _fitted(vehicle, findings), findings, found, first, fitted, ratio_open, known, truth
-    )
+        _fitted_tyre(fitted_vehicle, findings), findings, found, first, fitted, ratio_open, truth, references, tyres
+    )  # fmt: skip
+
+
+def _tyre_findings(vehicle: Vehicle, tyres: dict[str, AxleCurve] | None) -> dict[str, Finding]:
+    """What the tyre curves tell: parameters of two laws per axle, and the shape for the vehicle file."""
+    findings: dict[str, Finding] = {}
+    for axle, curve in (tyres or {}).items():
+        for law, found in (("rational", curve.rational), ("magic", curve.magic)):
+            for name, (value, std) in (found or {}).items():
+                low, high = value * np.exp(-Z95 * std), value * np.exp(Z95 * std)
+                key = f"{law}_{name}_{axle}"
+                findings[key] = Finding(
+                    key, TYRE_UNITS[name], np.nan, value, low, high, False, "for reference"
+                )
+    shapes = [curve.magic["C"] for curve in (tyres or {}).values() if curve.magic]
+    start = vehicle.tyre.shape
+    if not shapes:
+        word = "never slid far enough: left as it was"
+        return findings | {
+            "tyre.shape": Finding("tyre.shape", "-", start, start, np.nan, np.nan, False, word)
+        }
+    values, stds = np.array(shapes).T
+    weights = 1.0 / np.maximum(stds, 0.02) ** 2
+    mean = float(np.exp(weights @ np.log(values) / weights.sum()))
+    return findings | {"tyre.shape": _finding("tyre.shape", start, mean, float(weights.sum() ** -0.5))}
+
+
+def _fitted_tyre(vehicle: Vehicle, findings: dict[str, Finding]) -> Vehicle:
+    shape = findings["tyre.shape"]
+    if not shape.taken:
+        return vehicle
+    tyre = vehicle.tyre.model_copy(update={"shape": float(np.clip(shape.after, 1.01, 1.99))})
+    return vehicle.model_copy(update={"tyre": tyre})
 
 
 def before_value(vehicle: Vehicle, name: str) -> float:

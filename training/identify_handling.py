@@ -26,7 +26,7 @@ THIN = 5
 """Every fifth row is compared: the channels hold nothing faster."""
 BLOCK = int(2.0 * RATE)
 """Rows whose errors are taken as dependent on each other for the intervals."""
-LINEAR_AY = 2.5
+LINEAR_AY = 4.0
 """Above this ay [m/s^2] errors count as larger by the square of the excess: there the tyre law errs first."""
 STRAIGHT_AY = 0.7
 STRAIGHT_ERROR = 4.0
@@ -252,6 +252,14 @@ def fit(problem: Problem, start: Fit | None = None) -> tuple[Fit, Problem]:
 def before(problem: Problem) -> Fit:
     """The values before any fit, with what standstill says of the offsets."""
     return _result(problem, _first(problem, None), None)
+
+
+def shown_motion(problem: Problem, found: Fit, i: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Yaw rate, ay and beta ``(n,)`` that the sensors of log i show if the fit is right; SI, NaN where not run."""
+    drive = problem.drives[i]
+    runner = _Runner(drive, problem.vehicle, drive.normal, np.ones(OUTPUTS))
+    sensing = found.sensing(i)
+    return sensed(runner.motion(found.car, sensing), drive, sensing, problem.vehicle)
 
 
 def _first(problem: Problem, start: Fit | None) -> np.ndarray:
