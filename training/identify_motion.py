@@ -7,6 +7,7 @@ follows ay like a spring: both are delays of some ten milliseconds, which else w
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -122,9 +123,16 @@ def lean(ay: np.ndarray, vehicle: Vehicle) -> np.ndarray:
     vehicle : Vehicle
         Frequency and damping of its body.
     """
-    rate = 2.0 * math.pi * vehicle.plant.body_frequency
-    top, bottom = bilinear([rate**2], [1.0, 2.0 * vehicle.plant.body_damping * rate, rate**2], RATE)
+    top, bottom = _body(vehicle.plant.body_frequency, vehicle.plant.body_damping)
     return lfilter(top, bottom, ay - ay[0]) + ay[0]
+
+
+@lru_cache
+def _body(frequency: float, damping: float) -> tuple[np.ndarray, np.ndarray]:
+    """Digital filter of a body that follows ay with a frequency [Hz] and a damping ratio."""
+    rate = 2.0 * math.pi * frequency
+    top, bottom = bilinear([rate**2], [1.0, 2.0 * damping * rate, rate**2], RATE)
+    return top, bottom
 
 
 @njit(cache=True)

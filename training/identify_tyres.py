@@ -154,29 +154,38 @@ def _curve(slip: np.ndarray, force: np.ndarray, load: float, vehicle: Vehicle, s
         def by_rational(x: np.ndarray) -> np.ndarray:
             return np.array([rational_tyre(s, x[0], x[1], friction, 1.0)[0] / load for s in centre])
 
-        rational = _fit(by_rational, guess, median, error, ("c1", "c2"))
+        wide = [(0.05 * one, 20.0 * one) for one in guess]
+        rational = _fit(by_rational, guess, wide, median, error, ("c1", "c2"))
     if reach >= MAGIC_REACH and len(rows) > 6:
 
         def by_magic(x: np.ndarray) -> np.ndarray:
             return np.array([magic_formula(s, x[0], x[1], x[2], bend)[0] for s in centre])
 
         first = [stiffness / load / shape / vehicle.friction, shape, vehicle.friction]
-        magic = _fit(by_magic, first, median, error, ("B", "C", "D"))
+        sane = [(0.2 * first[0], 5.0 * first[0]), (1.01, 1.99), (0.1, 3.0)]
+        magic = _fit(by_magic, first, sane, median, error, ("B", "C", "D"))
     return AxleCurve(centre, median, error, load, reach, rational, magic)
 
 
 def _fit(
     law: Callable[[np.ndarray], np.ndarray],
     guess: list[float],
+    bounds: list[tuple[float, float]],
     force: np.ndarray,
     error: np.ndarray,
     names: tuple[str, ...],
-) -> dict[str, tuple[float, float]]:
-    """Least squares in the logarithms of positive parameters; each with its relative standard deviation."""
+) -> dict[str, tuple[float, float]] | None:
+    """Least squares in the logarithms of positive parameters; each with its relative standard deviation.
+
+    None where a parameter ends at its bound: then the curve does not tell it.
+    """
+    low, high = np.log(bounds).T
     found = least_squares(
-        lambda x: (law(np.exp(x)) - force) / error, np.log(guess), loss="soft_l1",
-        bounds=(np.log(guess) - 2.5, np.log(guess) + 2.5),
+        lambda x: (law(np.exp(x)) - force) / error, np.clip(np.log(guess), low + 0.01, high - 0.01),
+        loss="soft_l1", bounds=(low, high),
     )  # fmt: skip
+    if np.any(found.active_mask):
+        return None
     scale = max(2.0 * found.cost / max(len(force) - len(guess), 1), 1.0)
     spread = np.sqrt(np.diag(np.linalg.pinv(found.jac.T @ found.jac)) * scale)
     return {name: (float(np.exp(x)), float(s)) for name, x, s in zip(names, found.x, spread, strict=True)}
