@@ -2,23 +2,23 @@
 
 Run with ``python benchmarks/identify_real.py ../shared/data``. The logs are read as they are: no channel map, and a
 vehicle file whose steering ratio is wrong where the documented one is sought. The second table tests each
-recording of the set with the car as identified on the same car's other recordings, with their ground truth, or,
+recording of the set with car and sensors as identified on the same car's other recordings, with their ground truth, or,
 where there are none, on the recording itself without its ground truth.
 """
 
 from __future__ import annotations
 
 import sys
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from crosscomb.artefact import load_artefact
 from crosscomb.logs import read_log
-from crosscomb.models.vehicle import Vehicle, load_vehicle
+from crosscomb.models.vehicle import load_vehicle
 from crosscomb.training.bank import run_one
-from crosscomb.training.identify import identified_vehicle, identify
+from crosscomb.training.identify import identify
+from crosscomb.training.identify_files import identified_recording
 from crosscomb.training.identify_sensors import still_biases
 from crosscomb.training.recordings import Recording, find_logs, read_recordings
 
@@ -41,30 +41,45 @@ def documented(data: Path) -> None:
     for use, word in ((True, "with truth"), (False, "without truth")):
         result = identify(logs, car, use)
         ratio, ay = result.findings["steering_ratio"], result.findings["ay_bias"]
-        rows.append((f"S90 steering ratio, {word}", ratio.after, "15.6", f"{ratio.low:.2f} to {ratio.high:.2f}"))
+        rows.append(
+            (f"S90 steering ratio, {word}", ratio.after, "15.6", f"{ratio.low:.2f} to {ratio.high:.2f}")
+        )
         # The accelerometer's offset on the road, body lean of the parked car excluded: README's ay - kin means.
-        rows.append((f"S90 ay offset driving [m/s^2], {word}", ay.after, "0.14 to 0.21", f"{ay.low:.3f} to {ay.high:.3f}"))
+        rows.append(
+            (
+                f"S90 ay offset driving [m/s^2], {word}",
+                ay.after,
+                "0.14 to 0.21",
+                f"{ay.low:.3f} to {ay.high:.3f}",
+            )
+        )
         if result.kinematics is not None:
             delay, std = result.kinematics.yaw_delay
-            rows.append(("S90 yaw-rate latency [s], behind the truth", delay, "0.040", f"+- {1.96 * std:.3f}"))
+            rows.append(
+                ("S90 yaw-rate latency [s], behind the truth", delay, "0.040", f"+- {1.96 * std:.3f}")
+            )
             delay, std = result.kinematics.ay_delay
-            rows.append(("S90 ay latency [s], behind the truth", delay, "0.010 to 0.030", f"+- {1.96 * std:.3f}"))
+            rows.append(
+                ("S90 ay latency [s], behind the truth", delay, "0.010 to 0.030", f"+- {1.96 * std:.3f}")
+            )
     still = still_biases(logs)[0]
     rows.append(("S90 ay offset at standstill [m/s^2]", still["ay"][0], "-0.068", ""))
     rows.append(("S90 yaw-rate offset at standstill [rad/s]", still["yaw_rate"][0], "-0.0017", ""))
     logs = [read_log(path) for path in find_logs(data / "stanford_audi_tts_2011")]
     for use, word in ((True, "with truth"), (False, "without truth")):
         place = identify(logs, load_vehicle("audi_tts"), use).findings["position"]
-        rows.append((f"Audi accelerometer [m], {word}", place.after, "-1.42", f"{place.low:.2f} to {place.high:.2f}"))
+        rows.append(
+            (f"Audi accelerometer [m], {word}", place.after, "-1.42", f"{place.low:.2f} to {place.high:.2f}")
+        )
     for name, value, said, spread in rows:
         print(f"{name:50s} found {value:9.4f}  documented {said:15s} {spread}", flush=True)
 
 
-def score(recording: Recording, vehicle: Vehicle) -> tuple[float, bool]:
-    """RMSE [deg] of the dynamic EKF of the shipped artefact with a vehicle, and whether it ran away."""
+def score(recording: Recording) -> tuple[float, bool]:
+    """RMSE [deg] of the dynamic EKF of the shipped artefact, and whether it ran away."""
     artefact = load_artefact()
     entries = [entry for entry in artefact.filters if entry.name == "dynamic_ekf"]
-    run = run_one(replace(recording, vehicle=vehicle), entries, artefact.rate, artefact.window)
+    run = run_one(recording, entries, artefact.rate, artefact.window)
     beta = run.joined(lambda part: part.beta[:, 0])[run.counted]
     error = beta - run.beta_ref[run.counted]
     return float(np.degrees(np.sqrt(np.mean(error**2)))), bool(np.max(np.abs(beta)) > DIVERGED)
@@ -79,10 +94,12 @@ def joint(data: Path) -> None:
         recordings = [one for one in found if one.name in names]
         for recording in recordings:
             others = [one for one in recordings if one is not recording]
-            car = identified_vehicle(others or [recording], recording.vehicle, use_reference=bool(others))
-            before, (after, away) = score(recording, recording.vehicle)[0], score(recording, car)
+            before, (after, away) = score(recording)[0], score(identified_recording(recording, others))
             table.append((before, after))
-            print(f"{folder + '/' + recording.name:48s} {before:8.3f} {after:10.3f}{'  DIVERGED' * away}", flush=True)
+            print(
+                f"{folder + '/' + recording.name:48s} {before:8.3f} {after:10.3f}{'  DIVERGED' * away}",
+                flush=True,
+            )
     before, after = np.mean(table, axis=0)
     print(f"{'mean':48s} {before:8.3f} {after:10.3f}   change {after / before - 1.0:+.1%}")
 

@@ -24,7 +24,8 @@ from crosscomb.training.simulate import run_plan
 from crosscomb.training.spread import draw_driver
 
 EXCITED = (
-    ("frequency_sweep", 30.0), ("slalom", 30.0), ("ramp_steer", 30.0), ("constant_speed_circles", 30.0), ("stop_and_go", 30.0),
+    ("frequency_sweep", 30.0), ("slalom", 30.0), ("ramp_steer", 30.0), ("constant_speed_circles", 30.0),
+    ("stop_and_go", 30.0),
 )  # fmt: skip
 BARS = {
     "cornering_stiffness_front": 0.05,

@@ -7,7 +7,7 @@ value from before.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -24,6 +24,7 @@ from crosscomb.training.identify_handling import (
     Fit,
     Problem,
     before,
+    before_value,
     fit,
     usual_understeer,
 )
@@ -60,6 +61,7 @@ class Measure:
 
 MEASURES = {
     "steering_ratio": Measure("-", 0.08, 0.006, True),
+    "steer_scale": Measure("-", 0.05, 0.006, True),
     "cornering_stiffness_front": Measure("N/rad", 0.35, 0.025, True),
     "cornering_stiffness_rear": Measure("N/rad", 0.35, 0.025, True),
     "yaw_inertia": Measure("kg m^2", 0.30, 0.04, True),
@@ -81,6 +83,7 @@ MEASURES = {
 TYRE_UNITS = {"c1": "rad^2", "c2": "N/rad", "B": "1/rad", "C": "-", "D": "-"}
 
 SAID = {
+    "steer_scale": "road-wheel angle as measured over the true one",
     "position": "accelerometer ahead of the centre of gravity",
     "yaw_delay": "yaw rate behind the steering angle",
     "ay_delay": "lateral acceleration behind the steering angle",
@@ -260,18 +263,14 @@ def _fitted_tyre(vehicle: Vehicle, findings: dict[str, Finding]) -> Vehicle:
     return vehicle.model_copy(update={"tyre": tyre})
 
 
-def before_value(vehicle: Vehicle, name: str) -> float:
-    """Value before: the vehicle file's, or 0 of what no vehicle file holds."""
-    return float(getattr(vehicle, name)) if name in IN_VEHICLE else 0.0
-
-
 def _offsets(own: Known) -> Known:
     return {name: own[key] for name, key in (("yaw_bias", "yaw_rate"), ("ay_bias", "ay")) if key in own}
 
 
 def _closed(vehicle: Vehicle, drives: Sequence[Drive], ratio_open: bool) -> dict[str, float]:
     """What is not sought, with the values taken instead."""
-    closed = {} if ratio_open else {"steering_ratio": vehicle.steering_ratio}
+    # One of the two scales the steering angle; with both kinds of logs the measured angle is believed.
+    closed = {"steer_scale": 1.0} if ratio_open else {"steering_ratio": vehicle.steering_ratio}
     if not any(np.isfinite(drive.beta).any() for drive in drives):
         closed |= {"beta_delay": 0.0, "beta_bias": 0.0}
     return closed
@@ -287,12 +286,17 @@ def _kinematic_beliefs(truth: Kinematics | None) -> tuple[Belief, ...]:
     """What the ground truth said of the sensors, for the joint fit."""
     if truth is None:
         return ()
-    return (
-        Belief(lambda car: car["position"], truth.position[0], np.hypot(truth.position[1], 0.03)),
-        Belief(lambda car: car["roll_gradient"], truth.roll_gradient[0], np.hypot(truth.roll_gradient[1], 5e-4)),
-        Belief(lambda car: car["yaw_delay"] - car["beta_delay"], truth.yaw_delay[0], np.hypot(truth.yaw_delay[1], 2e-3)),
-        Belief(lambda car: car["ay_delay"] - car["beta_delay"], truth.ay_delay[0], np.hypot(truth.ay_delay[1], 2e-3)),
-    )  # fmt: skip
+
+    def behind(name: str) -> Callable[[dict[str, float]], float]:
+        return lambda car: car[name] - car["beta_delay"]
+
+    known = (
+        (lambda car: car["position"], truth.position, 0.01),
+        (lambda car: car["roll_gradient"], truth.roll_gradient, 5e-4),
+        (behind("yaw_delay"), truth.yaw_delay, 2e-3),
+        (behind("ay_delay"), truth.ay_delay, 2e-3),
+    )
+    return tuple(Belief(of, value, float(np.hypot(std, floor))) for of, (value, std), floor in known)
 
 
 def _findings(vehicle: Vehicle, found: Fit, ratio_open: bool) -> dict[str, Finding]:

@@ -5,12 +5,18 @@ from __future__ import annotations
 import csv
 import io
 import json
+from collections.abc import Sequence
+from dataclasses import replace
+from math import isfinite
 
-from crosscomb.channel_map import Accelerometer, Channel, ChannelMap
+from crosscomb.channel_map import Accelerometer, Channel, ChannelMap, apply_map
+from crosscomb.errors import UsageError
 from crosscomb.models.vehicle import vehicle_text
+from crosscomb.prepare import complete
 from crosscomb.signals import REFERENCES
-from crosscomb.training.identify import SAID, Finding, Identification
+from crosscomb.training.identify import SAID, Finding, Identification, identify
 from crosscomb.training.identify_handling import IN_VEHICLE
+from crosscomb.training.recordings import Recording
 
 HEADER = ("parameter", "unit", "before", "after", "low_95", "high_95", "word")
 
@@ -57,12 +63,42 @@ def fitted_map(result: Identification, base: ChannelMap | None = None) -> Channe
     return ChannelMap(channels=channels, accelerometer=place, reader=base.reader)
 
 
+def identified_recording(recording: Recording, others: Sequence[Recording]) -> Recording:
+    """A recording with the car and the sensors as identified on other recordings of the same car.
+
+    Where there are none, on the recording itself without its ground truth; unchanged where nothing can be found.
+
+    Parameters
+    ----------
+    recording : Recording
+    others : sequence of Recording
+        Their ground truth is used.
+    """
+    try:
+        logs = [one.signals for one in others or [recording]]
+        result = identify(logs, recording.vehicle, use_reference=bool(others))
+    except UsageError:
+        return recording
+    found = fitted_map(result)
+    # A column that this log does not have needs no correction.
+    named = {
+        name: channel
+        for name, channel in found.channels.items()
+        if (channel.column or name) in recording.signals.frame
+    }
+    found = found.model_copy(update={"channels": named})
+    signals = apply_map(recording.signals.frame, found, recording.signals.name, recording.signals.source)
+    return replace(recording, vehicle=result.vehicle, signals=complete(signals, result.vehicle))
+
+
 def _steering(result: Identification, channels: dict[str, Channel], found: dict[str, float]) -> str:
     """Put the steering offset into the map; gives the channel that steering is read from."""
     offset = found.get("steer_offset", 0.0)
     if not result.ratio_open:
         old = channels.get("steer", Channel())
-        channels["steer"] = old.model_copy(update={"offset": old.offset + offset})
+        scale = found.get("steer_scale", 1.0)
+        update = {"scale": old.scale / scale, "offset": old.offset / scale + offset}
+        channels["steer"] = old.model_copy(update=update)
         return "steer"
     # A column steer made with the old ratio would win over the hand wheel: the new one takes its place.
     ratio = result.vehicle.steering_ratio
@@ -102,12 +138,14 @@ def _lines(values: dict[str, object]) -> list[str]:
 def table_rows(result: Identification) -> list[list[str]]:
     """The findings as text, one row each, with the columns of `HEADER`."""
     return [
-        [
-            SAID.get(name, name), one.unit, f"{one.before:.6g}", f"{one.after:.6g}", f"{one.low:.6g}", f"{one.high:.6g}",
-            one.word,
-        ]
+        [SAID.get(name, name), one.unit, *map(_short, (one.before, one.after, one.low, one.high)), one.word]
         for name, one in result.findings.items()
-    ]  # fmt: skip
+    ]
+
+
+def _short(value: float) -> str:
+    """A number for people; nothing where there is none."""
+    return f"{value:.5g}" if isfinite(value) else ""
 
 
 def table_csv(result: Identification) -> str:

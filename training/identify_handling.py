@@ -52,6 +52,7 @@ class Sought:
 
 CAR = (
     Sought("steering_ratio", 0.35, True),
+    Sought("steer_scale", 0.03, True),
     Sought("cornering_stiffness_front", 0.35, True),
     Sought("cornering_stiffness_rear", 0.35, True),
     Sought("yaw_inertia", 0.3, True),
@@ -70,8 +71,8 @@ LOG = (
     Sought("beta_bias", 0.01, step=1e-4),
 )
 IN_VEHICLE = {
-    "steering_ratio", "cornering_stiffness_front", "cornering_stiffness_rear", "yaw_inertia", "friction", "roll_gradient",
-    "cg_to_rear_axle",
+    "steering_ratio", "cornering_stiffness_front", "cornering_stiffness_rear", "yaw_inertia", "friction",
+    "roll_gradient", "cg_to_rear_axle",
 }  # fmt: skip
 
 
@@ -137,7 +138,7 @@ class Fit:
 
 def make_sensing(car: dict[str, float], offsets: dict[str, float]) -> Sensing:
     """Gather what the sensors do from the parameters of the car and of one log."""
-    common = ("yaw_delay", "ay_delay", "beta_delay", "roll_gradient", "position")
+    common = ("steer_scale", "yaw_delay", "ay_delay", "beta_delay", "roll_gradient", "position")
     return Sensing(ratio=car["steering_ratio"], **offsets, **{name: car[name] for name in common})
 
 
@@ -195,19 +196,14 @@ class _Runner:
         self.kept: dict[tuple, Motion] = {}
 
     def motion(self, car: dict[str, float], sensing: Sensing) -> Motion:
-        ratio = sensing.ratio if self.drive.ratio_open else 1.0
         single = tyre_car(self.vehicle, car)
-        key = (single, ratio, sensing.steer_offset, sensing.yaw_bias, sensing.yaw_delay)
+        steering = (sensing.ratio, sensing.steer_scale, sensing.steer_offset)
+        key = (single, *steering, sensing.yaw_bias, sensing.yaw_delay)
         if key not in self.kept:
             if len(self.kept) > 1:
                 self.kept.pop(next(reversed(self.kept)))
-            self.kept[key] = run_model(
-                self.drive,
-                self.running,
-                single,
-                self.vehicle.tyre.relaxation_length,
-                sensing._replace(ratio=ratio),
-            )
+            relaxation = self.vehicle.tyre.relaxation_length
+            self.kept[key] = run_model(self.drive, self.running, single, relaxation, sensing)
         return self.kept[key]
 
     def residuals(self, car: dict[str, float], offsets: dict[str, float]) -> np.ndarray:
@@ -266,7 +262,7 @@ def _first(problem: Problem, start: Fit | None) -> np.ndarray:
     """Start vector: the parameters of the car, then the offsets log by log; logarithms of positive ones."""
     values = []
     for one in problem.car_sought:
-        value = start.car[one.name] if start else _before(problem.vehicle, one.name)
+        value = start.car[one.name] if start else before_value(problem.vehicle, one.name)
         values.append(np.log(value) if one.positive else value)
     for i, known in enumerate(problem.known):
         for one in problem.log_sought:
@@ -274,12 +270,15 @@ def _first(problem: Problem, start: Fit | None) -> np.ndarray:
     return np.array(values)
 
 
-def _before(vehicle: Vehicle, name: str) -> float:
+def before_value(vehicle: Vehicle, name: str) -> float:
+    """Value before: the vehicle file's, or that of a sensor without fault."""
+    if name == "steer_scale":
+        return 1.0
     return float(getattr(vehicle, name)) if name in IN_VEHICLE else 0.0
 
 
 def _split(problem: Problem, x: np.ndarray) -> tuple[dict[str, float], list[dict[str, float]]]:
-    car = {one.name: _before(problem.vehicle, one.name) for one in CAR} | {
+    car = {one.name: before_value(problem.vehicle, one.name) for one in CAR} | {
         name: value for name, value in problem.fixed.items() if name not in {one.name for one in LOG}
     }
     sought, own = problem.car_sought, problem.log_sought

@@ -37,7 +37,8 @@ FASTEST = 80.0
 class Sensing(NamedTuple):
     """How the sensors of one log see the car."""
 
-    ratio: float = 1.0  # hand angle over road-wheel angle; 1 where the road-wheel angle is measured
+    ratio: float = 1.0  # hand-wheel angle over road-wheel angle
+    steer_scale: float = 1.0  # the same of a road-wheel angle as measured
     steer_offset: float = 0.0  # road-wheel angle read straight ahead [rad]
     yaw_bias: float = 0.0  # [rad/s]
     ay_bias: float = 0.0  # [m/s^2]
@@ -75,12 +76,12 @@ def run_model(
     relaxation : float
         Relaxation length of the tyres [m].
     sensing : Sensing
-        Ratio, steering offset, yaw bias and yaw delay are used.
+        What concerns steering and yaw rate is used.
     """
     inputs = np.column_stack(
         [
             drive.vx,
-            drive.hand / sensing.ratio - sensing.steer_offset,
+            road_wheel_angle(drive, sensing),
             drive.steer_rear,
             np.gradient(drive.vx, drive.t),
             np.interp(drive.t + sensing.yaw_delay, drive.t, drive.yaw_rate) - sensing.yaw_bias,
@@ -89,6 +90,11 @@ def run_model(
     out = np.full((len(drive.t), 4), np.nan)
     _run(inputs, running, car, relaxation, 1.0 / RATE, out)
     return Motion(*out.T)
+
+
+def road_wheel_angle(drive: Drive, sensing: Sensing) -> np.ndarray:
+    """Road-wheel angle ``(n,) [rad]`` of the front axle."""
+    return drive.hand / (sensing.ratio if drive.ratio_open else sensing.steer_scale) - sensing.steer_offset
 
 
 def sensed(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -113,7 +114,8 @@ KINEMATIC_STEP = np.array([0.01, 1e-4, 0.002, 0.002])
 def kinematics(drives: Sequence[Drive], known: Sequence[Known], vehicle: Vehicle) -> Kinematics | None:
     """Fit ay = true + g roll_gradient lean(true) + position d(yaw_rate)/dt + bias.
 
-    true is d(vy)/dt + vx yaw_rate, vy is vx tan(beta) of the ground truth, so that no tyre matters. Each channel has its own delay.
+    true is d(vy)/dt + vx yaw_rate, vy is vx tan(beta) of the ground truth, so that no tyre matters. Each
+    channel has its own delay.
 
     Parameters
     ----------
@@ -160,7 +162,7 @@ def kinematics(drives: Sequence[Drive], known: Sequence[Known], vehicle: Vehicle
     x = solve(residuals, slopes, beliefs, x)
     z, jacobian = slopes(x)
     ends = np.cumsum([0, *(len(truth.rows) for truth in truths)])
-    series = [slice(int(a), int(b)) for a, b in zip(ends[:-1], ends[1:], strict=True)]
+    series = [slice(int(a), int(b)) for a, b in pairwise(ends)]
     blocks = np.concatenate([i * 1_000_000 + truth.rows // BLOCK for i, truth in enumerate(truths)])
     std = np.sqrt(np.diag(covariance(z, jacobian, beliefs(x)[1], Layout(blocks, series))))
     return Kinematics(*((float(value), float(own)) for value, own in zip(x[:4], std[:4], strict=True)))

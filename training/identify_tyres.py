@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -18,7 +19,7 @@ from crosscomb.models.vehicle import Vehicle
 from crosscomb.signals import GRAVITY
 from crosscomb.training.identify_drive import RATE, Drive, settled
 from crosscomb.training.identify_handling import Fit, tyre_car
-from crosscomb.training.identify_motion import Sensing, run_model
+from crosscomb.training.identify_motion import Sensing, road_wheel_angle, run_model
 
 LONGEST_SLIDE = 4.0
 """Seconds over which accelerations are integrated at most: an offset of 0.05 m/s^2 adds 0.6 deg at 20 m/s."""
@@ -82,8 +83,7 @@ def _points(drive: Drive, vehicle: Vehicle, fit: Fit, i: int) -> np.ndarray:
     """Slip angle [rad] and force over load [-] of the front, then of the rear axle ``(4, m)``."""
     sensing = fit.sensing(i)
     a, b, mass = vehicle.cg_to_front_axle, vehicle.cg_to_rear_axle, vehicle.mass
-    ratio = sensing.ratio if drive.ratio_open else 1.0
-    steer = drive.hand / ratio - sensing.steer_offset
+    steer = road_wheel_angle(drive, sensing)
     yaw_rate, ay = _corrected(drive, sensing)
     turning = np.gradient(yaw_rate, drive.t)
     beta = _sideslip(drive, vehicle, fit, sensing, yaw_rate, ay)
@@ -113,15 +113,13 @@ def _sideslip(
     """Sideslip angle ``(n,) [rad]``; NaN where nothing tells it."""
     if np.isfinite(drive.beta).any():
         return np.interp(drive.t + sensing.beta_delay, drive.t, drive.beta) - sensing.beta_bias
-    motion = run_model(
-        drive, drive.normal, tyre_car(vehicle, fit.car), vehicle.tyre.relaxation_length,
-        sensing._replace(ratio=sensing.ratio if drive.ratio_open else 1.0),
-    )  # fmt: skip
+    car = tyre_car(vehicle, fit.car)
+    motion = run_model(drive, drive.normal, car, vehicle.tyre.relaxation_length, sensing)
     good = settled(drive.normal)
     lateral = np.where(good, drive.vx * np.tan(motion.beta), np.nan)
     known = np.flatnonzero(good)
     change = (ay - drive.vx * yaw_rate) / RATE
-    for start, stop in zip(known[:-1], known[1:], strict=True):
+    for start, stop in pairwise(known):
         if 1 < stop - start <= LONGEST_SLIDE * RATE and drive.wild[start:stop].all():
             inside = lateral[start] + np.cumsum(change[start:stop])
             drift = lateral[stop] - inside[-1]
