@@ -81,13 +81,10 @@ def identified_recording(recording: Recording, others: Sequence[Recording]) -> R
         return recording
     found = fitted_map(result)
     # A column that this log does not have needs no correction.
-    named = {
-        name: channel
-        for name, channel in found.channels.items()
-        if (channel.column or name) in recording.signals.frame
-    }
+    frame = recording.signals.frame
+    named = {name: one for name, one in found.channels.items() if (one.column or name) in frame}
     found = found.model_copy(update={"channels": named})
-    signals = apply_map(recording.signals.frame, found, recording.signals.name, recording.signals.source)
+    signals = apply_map(frame, found, recording.signals.name, recording.signals.source)
     return replace(recording, vehicle=result.vehicle, signals=complete(signals, result.vehicle))
 
 
