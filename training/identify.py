@@ -62,8 +62,8 @@ class Measure:
 MEASURES = {
     "steering_ratio": Measure("-", 0.08, 0.006, True),
     "steer_scale": Measure("-", 0.05, 0.006, True),
-    "cornering_stiffness_front": Measure("N/rad", 0.35, 0.025, True),
-    "cornering_stiffness_rear": Measure("N/rad", 0.35, 0.025, True),
+    "cornering_stiffness_front": Measure("N/rad", 0.25, 0.025, True),
+    "cornering_stiffness_rear": Measure("N/rad", 0.25, 0.025, True),
     "yaw_inertia": Measure("kg m^2", 0.30, 0.04, True),
     "friction": Measure("-", 0.20, 0.04, True),
     "roll_gradient": Measure("rad per m/s^2", 0.004, 0.0008),
