@@ -36,7 +36,14 @@ def identify(
     from crosscomb.logs import read_log
     from crosscomb.models.vehicle import load_vehicle
     from crosscomb.training.identify import identify as find
-    from crosscomb.training.identify_files import fitted_map, fitted_text, map_text, table_csv, table_rows
+    from crosscomb.training.identify_files import (
+        fitted_map,
+        fitted_text,
+        map_text,
+        motion_rows,
+        table_csv,
+        table_rows,
+    )
     from crosscomb.training.recordings import find_places
 
     if output.suffix != ".toml":
@@ -77,6 +84,11 @@ def identify(
         ["parameter", "unit", "before", "after", "from (95 %)", "to", "word"],
         table_rows(result),
         left=2,
+    )
+    terminal.show(
+        "What the model leaves, below the limit (rms)",
+        ["log", "yaw rate before", "after [rad/s]", "ay before", "after [m/s^2]"],
+        motion_rows(result),
     )
     terminal.say(f"written: {output}, {', '.join(path.name for path in beside)}")
     terminal.say(f"use both: crosscomb estimate LOG --vehicle {output} --map {map_file}")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,8 @@ from crosscomb.files import write_file
 from crosscomb.models.magic_formula import magic_formula
 from crosscomb.models.tyres import rational_tyre
 from crosscomb.training.identify import Identification
-from crosscomb.training.identify_handling import Fit, shown_motion
+from crosscomb.training.identify_handling import shown_motion
+from crosscomb.training.identify_parameters import Fit
 from crosscomb.training.identify_tyres import AxleCurve
 
 MOST_LOGS = 4
@@ -23,8 +25,8 @@ BEFORE, AFTER, MEASURED = "#d55e00", "#0072b2", "black"
 
 def write_pictures(result: Identification, motion_file: Path, tyre_file: Path) -> None:
     """Draw and write both pictures."""
-    for figure, path in ((motion_figure(result), motion_file), (tyre_figure(result), tyre_file)):
-        write_file(path, lambda temporary, figure=figure: figure.savefig(temporary, dpi=110))
+    write_file(motion_file, partial(motion_figure(result).savefig, dpi=110))
+    write_file(tyre_file, partial(tyre_figure(result).savefig, dpi=110))
 
 
 def motion_figure(result: Identification) -> Figure:

@@ -81,7 +81,13 @@ def test_straight_driving_leaves_the_car_as_it_was() -> None:
     log = simulate_log(car, "straight", 3, 0.9, 30.0, spread=False)
     given = car.model_copy(update={"cornering_stiffness_front": 100e3, "steering_ratio": 18.0})
     result = identify([replace(log, frame=log.frame.drop(columns=REFERENCE))], given)
-    for name in ("steering_ratio", "cornering_stiffness_front", "cornering_stiffness_rear", "yaw_inertia", "friction"):
+    for name in (
+        "steering_ratio",
+        "cornering_stiffness_front",
+        "cornering_stiffness_rear",
+        "yaw_inertia",
+        "friction",
+    ):
         assert not result.findings[name].taken, name
         assert "left as it was" in result.findings[name].word
     assert result.vehicle == given

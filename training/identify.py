@@ -8,7 +8,7 @@ value from before.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -16,109 +16,24 @@ from crosscomb.errors import UsageError
 from crosscomb.models.vehicle import Vehicle
 from crosscomb.signals import GRAVITY, REFERENCES, Signals
 from crosscomb.training.identify_drive import RATE, Drive, make_drive, settled
-from crosscomb.training.identify_handling import (
-    CAR,
-    IN_VEHICLE,
-    LOG,
-    Belief,
-    Fit,
-    Problem,
-    before,
-    before_value,
-    fit,
-    usual_understeer,
+from crosscomb.training.identify_findings import (
+    FRICTION_BEYOND,
+    Finding,
+    finding,
+    fitted_tyre,
+    fitted_vehicle,
+    friction_finding,
+    handling_findings,
+    tyre_findings,
 )
+from crosscomb.training.identify_handling import before, fit
+from crosscomb.training.identify_parameters import Belief, Fit, Problem, usual_understeer
 from crosscomb.training.identify_sensors import Kinematics, Known, ax_bias, kinematics, still_biases
 from crosscomb.training.identify_tyres import AxleCurve, tyre_curves
 from crosscomb.training.recordings import Recording
 
-Z95 = 1.96
 LEAST_DRIVING = 5.0
-"""Seconds of gentle driving below which a log says nothing of the handling."""
-FRICTION_USED = 0.75
-"""Share of the friction that must have been used before its value is believed."""
-FRICTION_BEYOND = 1.15
-"""Friction assumed over the largest acceleration in use, while it is not known."""
-
-
-@dataclass(frozen=True)
-class Measure:
-    """How a parameter is judged.
-
-    Attributes
-    ----------
-    useful : float
-        Half width of the 95 % interval up to which a value is taken; relative where `relative`.
-    floor : float
-        Standard deviation that the model's own simplicity costs, however long the logs are; likewise.
-    """
-
-    unit: str
-    useful: float
-    floor: float
-    relative: bool = False
-
-
-MEASURES = {
-    "steering_ratio": Measure("-", 0.08, 0.006, True),
-    "steer_scale": Measure("-", 0.05, 0.006, True),
-    "cornering_stiffness_front": Measure("N/rad", 0.25, 0.025, True),
-    "cornering_stiffness_rear": Measure("N/rad", 0.25, 0.025, True),
-    "yaw_inertia": Measure("kg m^2", 0.30, 0.04, True),
-    "friction": Measure("-", 0.20, 0.04, True),
-    "roll_gradient": Measure("rad per m/s^2", 0.004, 0.0008),
-    "cg_to_rear_axle": Measure("m", 0.08, 0.01),
-    "position": Measure("m", 0.35, 0.05),
-    "yaw_delay": Measure("s", 0.025, 0.002),
-    "ay_delay": Measure("s", 0.025, 0.004),
-    "beta_delay": Measure("s", 0.025, 0.0015),
-    "steer_offset": Measure("rad", 0.004, 0.0004),
-    "yaw_bias": Measure("rad/s", 0.004, 0.0002),
-    "ay_bias": Measure("m/s^2", 0.2, 0.01),
-    "ax_bias": Measure("m/s^2", 0.2, 0.01),
-    "tyre.shape": Measure("-", 0.25, 0.03, True),
-    "beta_bias": Measure("rad", 0.006, 0.0005),
-}
-
-TYRE_UNITS = {"c1": "rad^2", "c2": "N/rad", "B": "1/rad", "C": "-", "D": "-"}
-
-SAID = {
-    "steer_scale": "road-wheel angle as measured over the true one",
-    "position": "accelerometer ahead of the centre of gravity",
-    "yaw_delay": "yaw rate behind the steering angle",
-    "ay_delay": "lateral acceleration behind the steering angle",
-    "beta_delay": "ground truth behind the steering angle",
-    "steer_offset": "road-wheel angle straight ahead",
-    "yaw_bias": "offset of the yaw rate",
-    "ay_bias": "offset of the lateral acceleration",
-    "ax_bias": "offset of the longitudinal acceleration",
-    "beta_bias": "offset of the ground truth",
-}
-"""Plain words for parameters that no vehicle file has."""
-
-
-@dataclass(frozen=True)
-class Finding:
-    """One parameter before and after.
-
-    Attributes
-    ----------
-    low, high : float
-        95 % interval of what the logs say; for an offset, of what it is in any one log.
-    taken : bool
-        `after` differs from `before` because the logs tell it.
-    word : str
-        ``found``, ``roughly``, or why the value was left as it was.
-    """
-
-    name: str
-    unit: str
-    before: float
-    after: float
-    low: float
-    high: float
-    taken: bool
-    word: str
+"""Seconds of driving below which a log says nothing of the handling."""
 
 
 @dataclass(frozen=True)
@@ -217,50 +132,17 @@ def identify(logs: Sequence[Signals], vehicle: Vehicle, use_reference: bool = Tr
     )  # fmt: skip
     first = before(problem)
     found, fitted = fit(problem)
-    findings = _findings(vehicle, found, ratio_open)
-    findings["friction"] = _friction_finding(vehicle.friction, findings["friction"], used, found)
+    findings = handling_findings(vehicle, found, ratio_open)
+    findings["friction"] = friction_finding(vehicle.friction, findings["friction"], used, found)
     along = ax_bias(drives, known)
     if along is not None:
-        findings["ax_bias"] = _finding("ax_bias", 0.0, along[0], along[1])
+        findings["ax_bias"] = finding("ax_bias", 0.0, along[0], along[1])
     references = tuple(name for name in REFERENCES if any(log.has(name) for log in logs))
-    fitted_vehicle = _fitted(vehicle, findings)
-    tyres = tyre_curves(drives, fitted_vehicle, found)
-    findings |= _tyre_findings(fitted_vehicle, tyres)
-    return Identification(
-        _fitted_tyre(fitted_vehicle, findings), findings, found, first, fitted, ratio_open, truth, references, tyres
-    )  # fmt: skip
-
-
-def _tyre_findings(vehicle: Vehicle, tyres: dict[str, AxleCurve] | None) -> dict[str, Finding]:
-    """What the tyre curves tell: parameters of two laws per axle, and the shape for the vehicle file."""
-    findings: dict[str, Finding] = {}
-    for axle, curve in (tyres or {}).items():
-        for law, found in (("rational", curve.rational), ("magic", curve.magic)):
-            for name, (value, std) in (found or {}).items():
-                low, high = value * np.exp(-Z95 * std), value * np.exp(Z95 * std)
-                key = f"{law}_{name}_{axle}"
-                findings[key] = Finding(
-                    key, TYRE_UNITS[name], np.nan, value, low, high, False, "for reference"
-                )
-    shapes = [curve.magic["C"] for curve in (tyres or {}).values() if curve.magic]
-    start = vehicle.tyre.shape
-    if not shapes:
-        word = "never slid far enough: left as it was"
-        return findings | {
-            "tyre.shape": Finding("tyre.shape", "-", start, start, np.nan, np.nan, False, word)
-        }
-    values, stds = np.array(shapes).T
-    weights = 1.0 / np.maximum(stds, 0.02) ** 2
-    mean = float(np.exp(weights @ np.log(values) / weights.sum()))
-    return findings | {"tyre.shape": _finding("tyre.shape", start, mean, float(weights.sum() ** -0.5))}
-
-
-def _fitted_tyre(vehicle: Vehicle, findings: dict[str, Finding]) -> Vehicle:
-    shape = findings["tyre.shape"]
-    if not shape.taken:
-        return vehicle
-    tyre = vehicle.tyre.model_copy(update={"shape": float(np.clip(shape.after, 1.01, 1.99))})
-    return vehicle.model_copy(update={"tyre": tyre})
+    car = fitted_vehicle(vehicle, findings)
+    tyres = tyre_curves(drives, car, found)
+    findings |= tyre_findings(car, tyres)
+    car = fitted_tyre(car, findings)
+    return Identification(car, findings, found, first, fitted, ratio_open, truth, references, tyres)
 
 
 def _offsets(own: Known) -> Known:
@@ -290,74 +172,12 @@ def _kinematic_beliefs(truth: Kinematics | None) -> tuple[Belief, ...]:
     def behind(name: str) -> Callable[[dict[str, float]], float]:
         return lambda car: car[name] - car["beta_delay"]
 
-    known = (
-        (lambda car: car["position"], truth.position, 0.01),
-        (lambda car: car["roll_gradient"], truth.roll_gradient, 5e-4),
-        (behind("yaw_delay"), truth.yaw_delay, 2e-3),
-        (behind("ay_delay"), truth.ay_delay, 2e-3),
+    def belief(of: Callable[[dict[str, float]], float], seen: tuple[float, float], floor: float) -> Belief:
+        return Belief(of, seen[0], float(np.hypot(seen[1], floor)))
+
+    return (
+        belief(lambda car: car["position"], truth.position, 0.01),
+        belief(lambda car: car["roll_gradient"], truth.roll_gradient, 5e-4),
+        belief(behind("yaw_delay"), truth.yaw_delay, 2e-3),
+        belief(behind("ay_delay"), truth.ay_delay, 2e-3),
     )
-    return tuple(Belief(of, value, float(np.hypot(std, floor))) for of, (value, std), floor in known)
-
-
-def _findings(vehicle: Vehicle, found: Fit, ratio_open: bool) -> dict[str, Finding]:
-    """Every finding of the joint fit."""
-    findings = {}
-    for one in CAR:
-        start = before_value(vehicle, one.name)
-        if one.name in found.car_std:
-            findings[one.name] = _finding(one.name, start, found.car[one.name], found.car_std[one.name])
-        elif one.name == "steering_ratio" and not ratio_open:
-            word = "the road-wheel angle is measured itself: left as it was"
-            findings[one.name] = Finding(one.name, "-", start, start, np.nan, np.nan, False, word)
-    for one in LOG:
-        if one.name in found.log_std[0]:
-            values = np.array([offsets[one.name] for offsets in found.logs])
-            weights = np.array([1.0 / std[one.name] ** 2 for std in found.log_std])
-            weights, least = weights / weights.sum(), 1.0 / weights.sum()
-            mean = float(weights @ values)
-            # The interval holds what the offset is in any one log.
-            scatter = float(weights @ (values - mean) ** 2)
-            findings[one.name] = _finding(one.name, 0.0, mean, float(np.sqrt(least + scatter)))
-    return findings
-
-
-def _finding(name: str, start: float, value: float, std: float) -> Finding:
-    measure = MEASURES[name]
-    half = Z95 * float(np.hypot(std, measure.floor))
-    low, high = (
-        (value * np.exp(-half), value * np.exp(half)) if measure.relative else (value - half, value + half)
-    )
-    taken = half <= measure.useful
-    if taken:
-        word = "found" if half <= 0.5 * measure.useful else "found, roughly"
-    else:
-        word = "not excited by these logs: left as it was"
-    return Finding(name, measure.unit, start, value if taken else start, float(low), float(high), taken, word)
-
-
-def _friction_finding(start: float, finding: Finding, used: float, found: Fit) -> Finding:
-    """The friction counts where most of it was used; less than was used it cannot be."""
-    used = used / (1.0 + GRAVITY * max(found.car["roll_gradient"], 0.0))
-    value = found.car["friction"]
-    if value < used <= start:
-        word = f"{used:.2f} was used, and the model errs there: left as it was"
-        return replace(finding, after=start, low=used, high=np.nan, taken=False, word=word)
-    if value < used:
-        word = "at least: so much was used"
-        return replace(finding, after=used, low=used, high=used * FRICTION_BEYOND, taken=True, word=word)
-    if used < FRICTION_USED * value:
-        word = f"only {100.0 * used / value:.0f} % of it was used: left as it was"
-        return replace(finding, after=start, taken=False, word=word)
-    return finding
-
-
-def _fitted(vehicle: Vehicle, findings: dict[str, Finding]) -> Vehicle:
-    """The vehicle with what was found, inside what a vehicle file may hold."""
-    found = {name: findings[name].after for name in IN_VEHICLE if name in findings and findings[name].taken}
-    if "roll_gradient" in found:
-        found["roll_gradient"] = float(np.clip(found["roll_gradient"], 0.0, 0.099))
-    if "cg_to_rear_axle" in found:
-        found["cg_to_front_axle"] = vehicle.wheelbase - found["cg_to_rear_axle"]
-    if "friction" in found:
-        found["friction"] = min(found["friction"], 3.0)
-    return Vehicle(**(vehicle.model_dump() | found))

@@ -9,13 +9,17 @@ from collections.abc import Sequence
 from dataclasses import replace
 from math import isfinite
 
+import numpy as np
+
 from crosscomb.channel_map import Accelerometer, Channel, ChannelMap, apply_map
 from crosscomb.errors import UsageError
 from crosscomb.models.vehicle import vehicle_text
 from crosscomb.prepare import complete
 from crosscomb.signals import REFERENCES
-from crosscomb.training.identify import SAID, Finding, Identification, identify
-from crosscomb.training.identify_handling import IN_VEHICLE
+from crosscomb.training.identify import Identification, identify
+from crosscomb.training.identify_findings import SAID, Finding
+from crosscomb.training.identify_handling import shown_motion
+from crosscomb.training.identify_parameters import IN_VEHICLE
 from crosscomb.training.recordings import Recording
 
 HEADER = ("parameter", "unit", "before", "after", "low_95", "high_95", "word")
@@ -94,17 +98,15 @@ def _steering(result: Identification, channels: dict[str, Channel], found: dict[
     if not result.ratio_open:
         old = channels.get("steer", Channel())
         scale = found.get("steer_scale", 1.0)
-        update = {"scale": old.scale / scale, "offset": old.offset / scale + offset}
-        channels["steer"] = old.model_copy(update=update)
+        channels["steer"] = old.model_copy(
+            update={"scale": old.scale / scale, "offset": old.offset / scale + offset}
+        )
         return "steer"
     # A column steer made with the old ratio would win over the hand wheel: the new one takes its place.
     ratio = result.vehicle.steering_ratio
     wheel = channels.pop("steer_wheel", Channel())
-    update = {
-        "column": wheel.column or "steer_wheel",
-        "scale": wheel.scale / ratio,
-        "offset": wheel.offset / ratio + offset,
-    }
+    column, scale = wheel.column or "steer_wheel", wheel.scale / ratio
+    update = {"column": column, "scale": scale, "offset": wheel.offset / ratio + offset}
     channels["steer"] = wheel.model_copy(update=update)
     return "steer"
 
@@ -158,3 +160,16 @@ def table_csv(result: Identification) -> str:
 def interval(one: Finding) -> str:
     """The interval in words."""
     return f"{one.low:.6g} to {one.high:.6g}"
+
+
+def motion_rows(result: Identification) -> list[list[str]]:
+    """For each log: what is left of yaw rate [rad/s] and ay [m/s^2] against the model, before and after (rms)."""
+    rows = []
+    for i, drive in enumerate(result.problem.drives):
+        cells = [drive.name]
+        for output, measured in enumerate((drive.yaw_rate, drive.ay)):
+            for fit in (result.first, result.fit):
+                miss = shown_motion(result.problem, fit, i)[output] - measured
+                cells.append(_short(float(np.sqrt(np.nanmean(miss[drive.normal] ** 2)))))
+        rows.append(cells)
+    return rows

@@ -18,8 +18,8 @@ from crosscomb.models.tyres import rational_tyre
 from crosscomb.models.vehicle import Vehicle
 from crosscomb.signals import GRAVITY
 from crosscomb.training.identify_drive import RATE, Drive, settled
-from crosscomb.training.identify_handling import Fit, tyre_car
 from crosscomb.training.identify_motion import Sensing, road_wheel_angle, run_model
+from crosscomb.training.identify_parameters import Fit, tyre_car
 
 LONGEST_SLIDE = 4.0
 """Seconds over which accelerations are integrated at most: an offset of 0.05 m/s^2 adds 0.6 deg at 20 m/s."""
@@ -178,12 +178,15 @@ def _fit(
     None where a parameter ends at its bound: then the curve does not tell it.
     """
     low, high = np.log(bounds).T
-    found = least_squares(
-        lambda x: (law(np.exp(x)) - force) / error, np.clip(np.log(guess), low + 0.01, high - 0.01),
-        loss="soft_l1", bounds=(low, high),
-    )  # fmt: skip
+
+    def misses(x: np.ndarray) -> np.ndarray:
+        return (law(np.exp(x)) - force) / error
+
+    start = np.clip(np.log(guess), low + 0.01, high - 0.01)
+    found = least_squares(misses, start, loss="soft_l1", bounds=(low, high))
     if np.any(found.active_mask):
         return None
+    jacobian = np.asarray(found.jac)
     scale = max(2.0 * found.cost / max(len(force) - len(guess), 1), 1.0)
-    spread = np.sqrt(np.diag(np.linalg.pinv(found.jac.T @ found.jac)) * scale)
+    spread = np.sqrt(np.diag(np.linalg.pinv(jacobian.T @ jacobian)) * scale)
     return {name: (float(np.exp(x)), float(s)) for name, x, s in zip(names, found.x, spread, strict=True)}
