@@ -47,21 +47,16 @@ def solve(
     x : ndarray
         ``(p,)`` where to begin.
     """
-
-    def cost(x: np.ndarray, z: np.ndarray) -> float:
-        robust = 2.0 * OUTLIER**2 * (np.sqrt(1.0 + (z / OUTLIER) ** 2) - 1.0)
-        return float(robust.sum() / CORRELATED + (beliefs(x)[0] ** 2).sum())
-
     damping = 1e-3
     z, jacobian = slopes(x)
-    best = cost(x, z)
+    best = cost(z, beliefs(x)[0])
     for _ in range(STEPS):
         gradient, hessian = _normal(z, jacobian, *beliefs(x))
         improved = False
         while damping < 1e8:
             step = np.linalg.solve(hessian + damping * np.diag(np.diag(hessian)), -gradient)
             there = residuals(x + step)
-            value = cost(x + step, there)
+            value = cost(there, beliefs(x + step)[0])
             if value < best:
                 improved = True
                 break
@@ -74,6 +69,12 @@ def solve(
             break
         z, jacobian = slopes(x)
     return x
+
+
+def cost(z: np.ndarray, believed: np.ndarray) -> float:
+    """Robust sum of squares of residuals and beliefs."""
+    robust = 2.0 * OUTLIER**2 * (np.sqrt(1.0 + (z / OUTLIER) ** 2) - 1.0)
+    return float(robust.sum() / CORRELATED + (believed**2).sum())
 
 
 def covariance(z: np.ndarray, jacobian: np.ndarray, belief: np.ndarray, layout: Layout) -> np.ndarray:

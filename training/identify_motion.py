@@ -30,7 +30,7 @@ second with which a car answers its steering. With the right parameters there is
 
 
 SUBSTEPS = 2
-FASTEST = 80.0
+FASTEST = 150.0
 """Forces follow no faster than this [1/s]: the steps bear no more."""
 
 

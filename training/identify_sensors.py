@@ -11,7 +11,7 @@ import numpy as np
 from crosscomb.models.vehicle import Vehicle
 from crosscomb.signals import GRAVITY, Signals
 from crosscomb.training.identify_drive import RATE, Drive, settled, standstill
-from crosscomb.training.identify_fit import Layout, Rows, covariance, solve
+from crosscomb.training.identify_fit import Layout, Rows, cost, covariance, solve
 from crosscomb.training.identify_motion import lean
 
 STILL_CHANNELS = ("ax", "ay", "yaw_rate")
@@ -107,6 +107,8 @@ class Kinematics:
 
 
 KINEMATIC_START = np.array([0.0, 0.0, 0.0, 0.0])  # position, roll gradient, yaw delay, ay delay
+PLACES = (-1.2, 0.0, 1.2)
+"""Where the search for the accelerometer begins [m]."""
 KINEMATIC_SPREAD = np.array([1.5, 0.006, 0.06, 0.06])
 KINEMATIC_STEP = np.array([0.01, 1e-4, 0.002, 0.002])
 
@@ -157,12 +159,15 @@ def kinematics(drives: Sequence[Drive], known: Sequence[Known], vehicle: Vehicle
     def beliefs(x: np.ndarray) -> Rows:
         return (x - centre) / spread, np.diag(1.0 / spread)
 
-    x = solve(residuals, slopes, beliefs, centre)
+    # At one speed a lever arm looks much like a delay: from one start alone the fit may end in the wrong one.
+    starts = [centre + place * np.eye(len(centre))[0] for place in PLACES]
+    ends = [solve(residuals, slopes, beliefs, start) for start in starts]
+    x = min(ends, key=lambda x: cost(residuals(x), beliefs(x)[0]))
     error = np.array([1.48 * np.median(np.abs(part(i, x) * error[i])) for i in range(len(truths))])
     x = solve(residuals, slopes, beliefs, x)
     z, jacobian = slopes(x)
-    ends = np.cumsum([0, *(len(truth.rows) for truth in truths)])
-    series = [slice(int(a), int(b)) for a, b in pairwise(ends)]
+    bounds = np.cumsum([0, *(len(truth.rows) for truth in truths)])
+    series = [slice(int(a), int(b)) for a, b in pairwise(bounds)]
     blocks = np.concatenate([i * 1_000_000 + truth.rows // BLOCK for i, truth in enumerate(truths)])
     std = np.sqrt(np.diag(covariance(z, jacobian, beliefs(x)[1], Layout(blocks, series))))
     return Kinematics(*((float(value), float(own)) for value, own in zip(x[:4], std[:4], strict=True)))
@@ -180,19 +185,16 @@ class _Truth:
     """The lateral acceleration of one log that its ground truth and yaw rate ask for."""
 
     def __init__(self, drive: Drive, rows: np.ndarray, vehicle: Vehicle) -> None:
-        self.drive, self.rows = drive, rows
+        self.drive, self.rows, self.vehicle = drive, rows, vehicle
         self.lateral = np.gradient(drive.vx * np.tan(drive.beta), drive.t)
         self.turning = np.gradient(drive.yaw_rate, drive.t)
-        asked = self.lateral + drive.vx * drive.yaw_rate
-        asked = np.where(np.isfinite(asked), asked, drive.ay)
-        self.lagging = lean(asked, vehicle) - asked
 
     def residuals(self, sensor: np.ndarray, yaw_bias: float, ay_bias: float) -> np.ndarray:
         position, roll_gradient, yaw_delay, ay_delay = sensor
-        drive, t = self.drive, self.drive.t[self.rows]
-        yaw_rate = np.interp(t + yaw_delay, drive.t, drive.yaw_rate) - yaw_bias
-        turning = np.interp(t + yaw_delay, drive.t, self.turning)
-        asked = self.lateral[self.rows] + drive.vx[self.rows] * yaw_rate
-        leaning = asked + self.lagging[self.rows]
-        shown = np.interp(t + ay_delay, drive.t, drive.ay)
-        return asked + GRAVITY * roll_gradient * leaning + position * turning + ay_bias - shown
+        drive, t = self.drive, self.drive.t
+        yaw_rate = np.interp(t + yaw_delay, t, drive.yaw_rate) - yaw_bias
+        asked = self.lateral + drive.vx * yaw_rate
+        leaning = lean(np.where(np.isfinite(asked), asked, drive.ay), self.vehicle)
+        felt = asked + GRAVITY * roll_gradient * leaning + ay_bias
+        felt = felt + position * np.interp(t + yaw_delay, t, self.turning)
+        return (felt - np.interp(t + ay_delay, t, drive.ay))[self.rows]
