@@ -75,33 +75,37 @@ def documented(data: Path) -> None:
         print(f"{name:50s} found {value:9.4f}  documented {said:15s} {spread}", flush=True)
 
 
-def score(recording: Recording) -> tuple[float, bool]:
-    """RMSE [deg] of the dynamic EKF of the shipped artefact, and whether it ran away."""
+def score(recording: Recording) -> dict[str, tuple[float, bool]]:
+    """RMSE [deg] of each filter of the shipped artefact, and whether it ran away."""
     artefact = load_artefact()
-    entries = [entry for entry in artefact.filters if entry.name == "dynamic_ekf"]
-    run = run_one(recording, entries, artefact.rate, artefact.window)
-    beta = run.joined(lambda part: part.beta[:, 0])[run.counted]
-    error = beta - run.beta_ref[run.counted]
-    return float(np.degrees(np.sqrt(np.mean(error**2)))), bool(np.max(np.abs(beta)) > DIVERGED)
+    run = run_one(recording, artefact.filters, artefact.rate, artefact.window)
+    beta = run.joined(lambda part: part.beta)[run.counted]
+    error = np.degrees(beta - run.beta_ref[run.counted][:, None])
+    rmse, away = np.sqrt(np.mean(error**2, axis=0)), np.max(np.abs(beta), axis=0) > DIVERGED
+    return {name: (float(e), bool(a)) for name, e, a in zip(artefact.filter_names, rmse, away, strict=True)}
 
 
 def joint(data: Path) -> None:
-    """The dynamic EKF with the default and with the identified car on each recording."""
-    print(f"\n{'recording':48s} {'default':>8s} {'identified':>10s}")
+    """The filters with the default and with the identified car on each recording."""
+    filters = load_artefact().filter_names
+    print("\nRMSE [deg], default and identified; * ran away")
+    print(f"{'recording':42s} " + " ".join(f"{name:>19s}" for name in filters))
     table = []
     for folder, names in REAL_SET.items():
         found, _ = read_recordings(data / folder)
         recordings = [one for one in found if one.name in names]
         for recording in recordings:
             others = [one for one in recordings if one is not recording]
-            before, (after, away) = score(recording)[0], score(identified_recording(recording, others))
-            table.append((before, after))
-            print(
-                f"{folder + '/' + recording.name:48s} {before:8.3f} {after:10.3f}{'  DIVERGED' * away}",
-                flush=True,
-            )
-    before, after = np.mean(table, axis=0)
-    print(f"{'mean':48s} {before:8.3f} {after:10.3f}   change {after / before - 1.0:+.1%}")
+            before, after = score(recording), score(identified_recording(recording, others))
+            table.append([[one[name][0] for name in filters] for one in (before, after)])
+            cells = [
+                " ".join(f"{one[name][0]:.2f}{'*' if one[name][1] else ' '}" for one in (before, after))
+                for name in filters
+            ]
+            print(f"{recording.name:42s} " + " ".join(f"{cell:>19s}" for cell in cells), flush=True)
+    before_mean, after_mean = np.mean(table, axis=0)
+    for name, old, new in zip(filters, before_mean, after_mean, strict=True):
+        print(f"mean of {name}: {old:.3f} to {new:.3f}, change {new / old - 1.0:+.1%}")
 
 
 def main() -> None:

@@ -26,7 +26,7 @@ from crosscomb.training.identify_findings import (
     handling_findings,
     tyre_findings,
 )
-from crosscomb.training.identify_handling import before, fit
+from crosscomb.training.identify_handling import before, fit, shown_motion
 from crosscomb.training.identify_parameters import Belief, Fit, Problem, usual_understeer
 from crosscomb.training.identify_sensors import Kinematics, Known, ax_bias, kinematics, still_biases
 from crosscomb.training.identify_tyres import AxleCurve, tyre_curves
@@ -134,7 +134,7 @@ def identify(logs: Sequence[Signals], vehicle: Vehicle, use_reference: bool = Tr
     found, fitted = fit(problem)
     findings = handling_findings(vehicle, found, ratio_open)
     findings["friction"] = friction_finding(vehicle.friction, findings["friction"], used, found)
-    along = ax_bias(drives, known)
+    along = ax_bias(drives, known, [_turning(fitted, found, i) for i in range(len(drives))])
     if along is not None:
         findings["ax_bias"] = finding("ax_bias", 0.0, along[0], along[1])
     references = tuple(name for name in REFERENCES if any(log.has(name) for log in logs))
@@ -143,6 +143,14 @@ def identify(logs: Sequence[Signals], vehicle: Vehicle, use_reference: bool = Tr
     findings |= tyre_findings(car, tyres)
     car = fitted_tyre(car, findings)
     return Identification(car, findings, found, first, fitted, ratio_open, truth, references, tyres)
+
+
+def _turning(problem: Problem, found: Fit, i: int) -> np.ndarray:
+    """What turning adds to ax in a drive ``(n,) [m/s^2]``."""
+    drive = problem.drives[i]
+    beta = shown_motion(problem, found, i)[2] - found.logs[i]["beta_bias"]
+    lever = found.car["position"] * drive.yaw_rate**2
+    return -drive.vx * np.tan(beta) * drive.yaw_rate - lever
 
 
 def _offsets(own: Known) -> Known:

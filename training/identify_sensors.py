@@ -58,20 +58,29 @@ def still_biases(logs: Sequence[Signals]) -> list[Known]:
     return [other | means for means in own]
 
 
-def ax_bias(drives: Sequence[Drive], known: Sequence[Known]) -> tuple[float, float] | None:
+def ax_bias(
+    drives: Sequence[Drive], known: Sequence[Known], turning: Sequence[np.ndarray]
+) -> tuple[float, float] | None:
     """Offset of ax and its standard deviation [m/s^2]; None where nothing tells it.
 
-    From ax = bias + k d(vx)/dt over all driving, where k holds the pitch of the body, together with standstill.
-    A road's slope counts as a lasting error; what the sideslip adds, -vy yaw_rate, is small below the limit.
+    From ax = bias + k d(vx)/dt + turning over all driving, where k holds the pitch of the body, together with
+    standstill. A road's slope counts as a lasting error.
+
+    Parameters
+    ----------
+    drives, known : sequence
+        Logs and their offsets at standstill.
+    turning : sequence of ndarray
+        What turning adds to ax in each drive ``(n,) [m/s^2]``: -vy yaw_rate, and the lever arm; NaN if unknown.
     """
     values, weights = [], []
-    for drive, own in zip(drives, known, strict=True):
-        rows = np.flatnonzero(drive.normal)[::THIN]
-        if len(rows) > 50 and np.isfinite(drive.ax[rows]).all():
+    for drive, own, added in zip(drives, known, turning, strict=True):
+        rows = np.flatnonzero(drive.normal & np.isfinite(drive.ax - added))[::THIN]
+        if len(rows) > 50:
             pull = np.gradient(drive.vx, drive.t)[rows]
             design = np.column_stack([np.ones(len(rows)), pull])
-            solution, *_ = np.linalg.lstsq(design, drive.ax[rows], rcond=None)
-            left = drive.ax[rows] - design @ solution
+            solution, *_ = np.linalg.lstsq(design, (drive.ax - added)[rows], rcond=None)
+            left = (drive.ax - added)[rows] - design @ solution
             _, group = np.unique(rows // BLOCK, return_inverse=True)
             means = np.bincount(group, left) / np.bincount(group)
             values.append(float(solution[0]))
