@@ -144,7 +144,7 @@ def table_rows(result: Identification) -> list[list[str]]:
 
 def _short(value: float) -> str:
     """A number for people; nothing where there is none."""
-    return f"{value:.5g}" if isfinite(value) else ""
+    return f"{value:.6g}" if isfinite(value) else ""
 
 
 def table_csv(result: Identification) -> str:
