@@ -78,6 +78,35 @@ def test_model_is_the_linear_single_track_while_the_tyres_are_linear() -> None:
         assert np.std((mine - wanted)[rows]) < 0.05 * np.std(wanted[rows])
 
 
+def test_a_linear_single_track_is_found_again() -> None:
+    quick = CAR.tyre.model_copy(update={"relaxation_length": 0.06})
+    true = CAR.model_copy(update={"roll_gradient": 0.0, "friction": 3.0, "tyre": quick})
+    logs = []
+    for manoeuvre, size in (("frequency_sweep", 0.5), ("slalom", 0.5), ("stop_and_go", 1.0)):
+        log = simulate_log(true, manoeuvre, 11, 0.9, 20.0, spread=False, faults=False)
+        log = log.with_columns(
+            steer=size * log.column("steer"),
+            steer_wheel=size * log.column("steer_wheel"),
+            vx=log.column("vx_ref"),
+        )
+        yaw_rate, beta = replay_linear(log, true)
+        ay = log.column("vx") * (np.gradient(beta, log.t) + yaw_rate)
+        logs.append(log.with_columns(yaw_rate=yaw_rate, ay=ay))
+    given = {
+        "cornering_stiffness_front": 1.3 * true.cornering_stiffness_front,
+        "cornering_stiffness_rear": 0.8 * true.cornering_stiffness_rear,
+        "steering_ratio": 1.1 * true.steering_ratio,
+    }
+    result = identify(logs, true.model_copy(update=given), use_reference=False)
+    for name in given:
+        wanted = getattr(true, name)
+        bar = 0.005 if name == "steering_ratio" else 0.025
+        assert result.findings[name].after == pytest.approx(wanted, rel=bar), name
+    # The replay's tyres have no relaxation length, which a vehicle file cannot say.
+    assert result.findings["yaw_delay"].after == pytest.approx(0.0, abs=0.005)
+    assert result.findings["ay_delay"].after == pytest.approx(0.0, abs=0.005)
+
+
 def test_ground_truth_alone_tells_position_and_latencies() -> None:
     drives = []
     for manoeuvre in ("frequency_sweep", "slalom"):
