@@ -105,7 +105,10 @@ def handling_findings(vehicle: Vehicle, found: Fit, ratio_open: bool) -> dict[st
     for one in CAR:
         start = before_value(vehicle, one.name)
         if one.name in found.car_std:
-            findings[one.name] = finding(one.name, start, found.car[one.name], found.car_std[one.name])
+            value = found.car[one.name]
+            # A body does not lean into the bend; gravity taken out of ay too well may look so.
+            value = max(value, 0.0) if one.name == "roll_gradient" else value
+            findings[one.name] = finding(one.name, start, value, found.car_std[one.name])
         elif one.name == "steering_ratio" and not ratio_open:
             word = "the road-wheel angle is measured itself: left as it was"
             findings[one.name] = Finding(one.name, "-", start, start, np.nan, np.nan, False, word)
@@ -122,6 +125,17 @@ def handling_findings(vehicle: Vehicle, found: Fit, ratio_open: bool) -> dict[st
 
 
 def finding(name: str, start: float, value: float, std: float) -> Finding:
+    """Judge one value.
+
+    Parameters
+    ----------
+    name : str
+        A key of `MEASURES`.
+    start : float
+        Value before.
+    value, std : float
+        What the logs say; the standard deviation is that of the logarithm where the measure is relative.
+    """
     measure = MEASURES[name]
     half = Z95 * float(np.hypot(std, measure.floor))
     low, high = (
@@ -179,7 +193,7 @@ def fitted_vehicle(vehicle: Vehicle, findings: dict[str, Finding]) -> Vehicle:
     """The vehicle with what was found, inside what a vehicle file may hold."""
     found = {name: findings[name].after for name in IN_VEHICLE if name in findings and findings[name].taken}
     if "roll_gradient" in found:
-        found["roll_gradient"] = float(np.clip(found["roll_gradient"], 0.0, 0.099))
+        found["roll_gradient"] = min(found["roll_gradient"], 0.099)
     if "cg_to_rear_axle" in found:
         found["cg_to_front_axle"] = vehicle.wheelbase - found["cg_to_rear_axle"]
     if "friction" in found:
@@ -188,6 +202,7 @@ def fitted_vehicle(vehicle: Vehicle, findings: dict[str, Finding]) -> Vehicle:
 
 
 def fitted_tyre(vehicle: Vehicle, findings: dict[str, Finding]) -> Vehicle:
+    """The vehicle with the shape of its tyre curve, where that was found."""
     shape = findings["tyre.shape"]
     if not shape.taken:
         return vehicle
