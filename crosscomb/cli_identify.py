@@ -72,6 +72,8 @@ def identify(
             logs.append(read_log(path, base))
             advance()
     result = find(logs, before, not without_truth)
+    for name in result.left_out:
+        terminal.warn(f"{name}: left aside, the car slides too much in it for its handling to show")
     map_file, table_file, motion_file, tyre_file, record_file = beside
     write_text(output, fitted_text(result))
     write_text(map_file, map_text(fitted_map(result, base)))

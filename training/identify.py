@@ -8,7 +8,7 @@ value from before.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -34,6 +34,9 @@ from crosscomb.training.recordings import Recording
 
 LEAST_DRIVING = 5.0
 """Seconds of driving below which a log says nothing of the handling."""
+SLIDING = (0.05, 1.0)
+"""Error of the fitted model, in yaw rate [rad/s] and ay [m/s^2], above which a log is one of slides: real driving
+below the limit leaves a third of it."""
 
 
 @dataclass(frozen=True)
@@ -57,6 +60,8 @@ class Identification:
         Columns of ground truth in the logs.
     tyres : dict of str to AxleCurve, optional
         ``front`` and ``rear``.
+    left_out : tuple of str
+        Logs of slides, in which the model cannot follow the car.
     """
 
     vehicle: Vehicle
@@ -68,6 +73,7 @@ class Identification:
     kinematics: Kinematics | None
     references: tuple[str, ...]
     tyres: dict[str, AxleCurve] | None
+    left_out: tuple[str, ...]
 
 
 def identified_vehicle(
@@ -132,6 +138,13 @@ def identify(logs: Sequence[Signals], vehicle: Vehicle, use_reference: bool = Tr
     )  # fmt: skip
     first = before(problem)
     found, fitted = fit(problem)
+    calm = [i for i, error in enumerate(fitted.errors) if error[0] < SLIDING[0] and error[1] < SLIDING[1]]
+    left_out = tuple(drive.name for i, drive in enumerate(drives) if i not in calm)
+    if left_out and calm:
+        # What a car does in a slide would be taken for its handling.
+        problem = replace(problem, drives=[drives[i] for i in calm], known=[problem.known[i] for i in calm])
+        drives, known, first = list(problem.drives), [known[i] for i in calm], before(problem)
+        found, fitted = fit(problem)
     findings = handling_findings(vehicle, found, ratio_open)
     findings["friction"] = friction_finding(vehicle.friction, findings["friction"], used, found)
     along = ax_bias(drives, known, [_turning(fitted, found, i) for i in range(len(drives))])
@@ -142,7 +155,7 @@ def identify(logs: Sequence[Signals], vehicle: Vehicle, use_reference: bool = Tr
     tyres = tyre_curves(drives, car, found)
     findings |= tyre_findings(car, tyres)
     car = fitted_tyre(car, findings)
-    return Identification(car, findings, found, first, fitted, ratio_open, truth, references, tyres)
+    return Identification(car, findings, found, first, fitted, ratio_open, truth, references, tyres, left_out)
 
 
 def _turning(problem: Problem, found: Fit, i: int) -> np.ndarray:

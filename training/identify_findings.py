@@ -13,6 +13,9 @@ from crosscomb.training.identify_tyres import AxleCurve
 
 Z95 = 1.96
 
+IMPLAUSIBLE = 3.0
+"""No value is taken that lies further from the vehicle file's than so many standard deviations of the prior. Of the
+sensors no file says anything that could be contradicted."""
 FRICTION_USED = 0.75
 """Share of the friction that must have been used before its value is believed."""
 FRICTION_BEYOND = 1.15
@@ -109,6 +112,10 @@ def handling_findings(vehicle: Vehicle, found: Fit, ratio_open: bool) -> dict[st
             # A body does not lean into the bend; gravity taken out of ay too well may look so.
             value = max(value, 0.0) if one.name == "roll_gradient" else value
             findings[one.name] = finding(one.name, start, value, found.car_std[one.name])
+            away = (np.log(value / start) if one.positive else value - start) / one.spread
+            if one.name in IN_VEHICLE and abs(away) > IMPLAUSIBLE:
+                word = "contradicts the vehicle file; check both: left as it was"
+                findings[one.name] = replace(findings[one.name], after=start, taken=False, word=word)
         elif one.name == "steering_ratio" and not ratio_open:
             word = "the road-wheel angle is measured itself: left as it was"
             findings[one.name] = Finding(one.name, "-", start, start, np.nan, np.nan, False, word)
