@@ -16,7 +16,7 @@ from crosscomb.filters.catalogue import CATALOGUE, DEFAULT_FILTERS
 from crosscomb.models.vehicle import load_vehicle
 from crosscomb.training import benchmark as suites
 
-COMMANDS = ["filters", "vehicle", "simulate", "train", "estimate", "check", "benchmark", "demo"]
+COMMANDS = ["filters", "vehicle", "simulate", "train", "identify", "estimate", "check", "benchmark", "demo"]
 
 
 @pytest.fixture(scope="module")
