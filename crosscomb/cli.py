@@ -10,7 +10,7 @@ from typing import Annotated
 
 import typer
 
-from crosscomb import __version__
+from crosscomb import __version__, cli_identify
 from crosscomb.cli_options import (
     FiltersOption,
     JobsOption,
@@ -239,6 +239,9 @@ def train(
         write_text(output.with_name("comparison.json"), comparison.to_json())
         terminal.show_comparison(comparison)
         terminal.say(f"written: {output.with_name('comparison.json')}")
+
+
+app.command()(cli_identify.identify)
 
 
 @app.command()

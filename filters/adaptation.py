@@ -6,7 +6,6 @@ car corners fast enough, stay in a range around the vehicle file's, and get no l
 
 from __future__ import annotations
 
-import math
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -47,11 +46,15 @@ def parameter_limits(law: int, track: SingleTrack, noise: Any) -> Limits:
 
 @inlined
 def excited(sample, noise):
-    """Tell whether the car corners so that its motion says something about its tyres."""
+    """Tell whether the car corners so that its motion says something about its tyres.
+
+    The yaw rate must agree: straight ahead, vibration or a banked road alone fill ay.
+    """
     return (
         abs(sample[AY]) > noise.adapt_ay  # False for a missing one
+        and sample[YAW_RATE] * sample[AY] > 0.0
+        and abs(sample[YAW_RATE]) * sample[VX] > 0.5 * noise.adapt_ay
         and sample[VX] > noise.adapt_speed
-        and math.isfinite(sample[YAW_RATE])
         and sample[STEER_HELD] == 0.0
     )
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import tomllib
+from collections.abc import Mapping
 from importlib import resources
 from pathlib import Path
 from typing import Literal
@@ -147,6 +149,30 @@ def parse_vehicle(text: str, source: str) -> Vehicle:
         raise UsageError(f"{source}: no valid TOML: {error}") from None
     except ValidationError as error:
         raise UsageError(f"{source}: {describe(error)}") from None
+
+
+def vehicle_text(vehicle: Vehicle, remarks: Mapping[str, str] | None = None) -> str:
+    """The vehicle as the text of a vehicle file.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+    remarks : mapping of str to str, optional
+        Comments behind the lines of some keys; those of the table ``[tyre]`` as ``tyre.shape``.
+    """
+    remarks = remarks or {}
+    values = vehicle.model_dump()
+    tables = {key: values.pop(key) for key in ("tyre", "plant")}
+
+    def line(key: str, value: object, name: str) -> str:
+        # A JSON string, number or truth value is a valid TOML one.
+        remark = f"  # {remarks[name]}" if name in remarks else ""
+        return f"{key} = {json.dumps(value, ensure_ascii=False)}{remark}"
+
+    lines = [line(key, value, key) for key, value in values.items()]
+    for table, content in tables.items():
+        lines += ["", f"[{table}]", *(line(key, value, f"{table}.{key}") for key, value in content.items())]
+    return "\n".join(lines) + "\n"
 
 
 def describe(error: ValidationError) -> str:

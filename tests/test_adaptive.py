@@ -157,6 +157,18 @@ def test_straight_and_slow_driving_teach_nothing(name: str) -> None:
         assert (values == values[0]).all(), text
 
 
+@pytest.mark.parametrize("name", [n for n in NAMES if n != "ratt_ekf"])
+def test_a_shaking_accelerometer_teaches_nothing_straight_ahead(name: str) -> None:
+    rng = np.random.default_rng(9)
+    samples = np.zeros((2000, SAMPLE_WIDTH))
+    samples[:, base.VX] = 25.0
+    samples[:, base.AY] = rng.normal(0.0, 4.0, 2000)
+    samples[:, base.YAW_RATE] = rng.normal(0.0, 0.005, 2000)
+    result = make_filter(name, GOLF).run(Inputs(DT, samples))
+    for text, values in result.extra.items():
+        assert (values == values[0]).all(), text
+
+
 @pytest.mark.parametrize("name", NAMES)
 def test_noiseless_data_of_its_own_model_gives_the_truth(name: str) -> None:
     steer, vx = slalom(4.0, 0.05), 22.0

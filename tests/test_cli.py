@@ -16,7 +16,9 @@ from crosscomb.filters.catalogue import CATALOGUE, DEFAULT_FILTERS
 from crosscomb.models.vehicle import load_vehicle
 from crosscomb.training import benchmark as suites
 
-COMMANDS = ["filters", "vehicle", "simulate", "tune", "train", "estimate", "check", "benchmark", "demo"]
+COMMANDS = [
+    "filters", "vehicle", "simulate", "tune", "train", "identify", "estimate", "check", "benchmark", "demo",
+]  # fmt: skip
 
 
 @pytest.fixture(scope="module")

@@ -15,7 +15,7 @@ from joblib import Parallel, delayed
 
 from crosscomb.errors import UsageError
 from crosscomb.models.plant import PlantParameters
-from crosscomb.models.vehicle import Vehicle
+from crosscomb.models.vehicle import Vehicle, vehicle_text
 from crosscomb.signals import Signals, make_signals
 from crosscomb.training.data_card import data_card, log_entry
 from crosscomb.training.driver import run_manoeuvre, start
@@ -176,7 +176,7 @@ def simulate_data_set(
         entries.append(entry)
         if progress is not None:
             progress()
-    _write(out_dir / VEHICLE_FILE, _vehicle_text(vehicle).encode())
+    _write(out_dir / VEHICLE_FILE, vehicle_text(vehicle).encode())
     card = data_card(vehicle, seed, preset, entries)
     _write(out_dir / CARD, (json.dumps(card, indent=1) + "\n").encode())
     return [out_dir / f"{job.name}.csv.gz" for job in work]
@@ -227,18 +227,3 @@ def _write(path: Path, data: bytes) -> None:
     temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
     temporary.write_bytes(data)
     temporary.replace(path)
-
-
-def _vehicle_text(vehicle: Vehicle) -> str:
-    """The vehicle as the text of a vehicle file."""
-    values = vehicle.model_dump()
-    tables = {key: values.pop(key) for key in ("tyre", "plant")}
-    lines = [f"{key} = {_toml(value)}" for key, value in values.items()]
-    for table, content in tables.items():
-        lines += ["", f"[{table}]", *(f"{key} = {_toml(value)}" for key, value in content.items())]
-    return "\n".join(lines) + "\n"
-
-
-def _toml(value: object) -> str:
-    # A JSON string, number or truth value is a valid TOML one.
-    return json.dumps(value, ensure_ascii=False)
