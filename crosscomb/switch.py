@@ -61,7 +61,8 @@ class SwitchState(NamedTuple):
         np.ndarray
     )  # (5,) active filter, candidate, samples active, samples the candidate stands, samples seen
     values: np.ndarray  # (2,) step that fades out, last answer [rad]
-    last: np.ndarray  # (filters,) last beta [rad]
+    last: np.ndarray  # (filters,) beta of the newest sample [rad]
+    before: np.ndarray  # (filters,) beta of the sample before it [rad]
     still: np.ndarray  # (filters,) samples without a change
     barred: np.ndarray  # (filters,) samples until the filter may be selected
 
@@ -83,7 +84,9 @@ def make_switch_state(n_filters: int, first: int, times: SwitchTimes) -> SwitchS
     """Make the state before the first sample, with filter `first` active."""
     zeros = np.zeros(n_filters, dtype=np.int64)
     counts = np.array([first, first, times.dwell, 0, 0])
-    return SwitchState(counts, np.zeros(2), np.zeros(n_filters), zeros.copy(), zeros.copy())
+    return SwitchState(
+        counts, np.zeros(2), np.zeros(n_filters), np.zeros(n_filters), zeros.copy(), zeros.copy()
+    )
 
 
 @njit(cache=True)
@@ -98,6 +101,7 @@ def _watch(state, beta, beta_std, times):
         if not finite or jumped:
             state.barred[i] = times.settle + 1
         moving = moving or (state.still[i] == 0 and state.counts[4] > 0)
+        state.before[i] = state.last[i]
         state.last[i] = beta[i] if finite else math.nan
     for i in range(beta.size):
         if moving and state.still[i] >= times.stale:
@@ -140,10 +144,10 @@ def switch_step(state, beta, beta_std, wanted, times):
                 break
     usable = math.isfinite(beta[wanted]) and math.isfinite(beta_std[wanted])
     if follow and wanted != current and usable and (lost or state.barred[wanted] == 0):
-        if not lost and state.barred[current] == 0:
-            values[0] += beta[current] - beta[wanted] if counts[4] > 0 else 0.0
-        elif counts[4] > 0 and math.isfinite(values[1]):
-            values[0] = values[1] - beta[wanted]  # the last answer stands in for what is lost or has jumped
+        if counts[4] > 0 and math.isfinite(values[1]):
+            # Go on from the last answer with the steps of the new filter.
+            before = state.before[wanted]
+            values[0] = values[1] - (before if math.isfinite(before) else beta[wanted])
         counts[0], counts[2] = wanted, 0
         current = wanted
     faded = (1.0 - times.decay) * values[0]

@@ -163,7 +163,7 @@ ARTEFACTS: dict[str, tuple[Callable[[Place], object], list[str]]] = {
     "no JSON": (lambda p: p.artefact.write_text("tree"), ["line 1", "no valid JSON"]),
     "binary": (lambda p: p.artefact.write_bytes(b"\x80\x81"), ["cannot be read"]),
     "older schema": (lambda p: p.change("schema_version", value=0), ["schema version 0", "train"]),
-    "newer schema": (lambda p: p.change("schema_version", value=2), ["schema version 2"]),
+    "newer schema": (lambda p: p.change("schema_version", value=99), ["schema version 99"]),
     "unknown key": (lambda p: p.change("colour", value=1), ["unknown key colour"]),
     "child out of range": (lambda p: p.change("tree", "left", 0, value=10**6), ["node 0", "child"]),
     "cycle": (lambda p: p.change("tree", "right", 0, value=0), ["node 0", "child"]),

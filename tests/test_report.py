@@ -77,7 +77,14 @@ def test_a_training_is_written_whole(trained, tmp_path):
     artefact = tmp_path / "mine.json"
     paths = write_training(trained, artefact, ["x.csv: skipped"])
     assert sorted(path.name for path in tmp_path.iterdir()) == sorted(
-        ["report.html", "confusion_matrix.csv", "confusion_matrix.png", "metrics.json"]
+        [
+            "report.html",
+            "confusion_matrix.csv",
+            "confusion_matrix.png",
+            "metrics.json",
+            "tree.txt",
+            "tree.png",
+        ]
     )
     assert paths == beside_artefact(artefact)
     table = pd.read_csv(tmp_path / "confusion_matrix.csv", index_col="best")

@@ -91,7 +91,9 @@ def test_compiling_would_be_seen(data_set, tmp_path):
     )
     code = code.replace(
         "try:\n    main()",
-        "s.switch(*[np.zeros((3, 1))] * 2, np.zeros(3), s.SwitchSettings(), 0.01, 0)\ntry:\n    main()",
+        "t = s.switch_times(s.SwitchSettings(), 0.01)\n"
+        "s.switch(*[np.zeros((3, 1))] * 2, np.zeros(3), s.SwitchSettings(), 0.01, s.make_switch_state(1, 0, t))\n"
+        "try:\n    main()",
     )
     line = [sys.executable, "-c", PREFACE + code, json.dumps(["--version"])]
     done = subprocess.run(
