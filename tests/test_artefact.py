@@ -56,6 +56,7 @@ def refusal(content: object) -> str:
     message = str(caught.value)
     assert "\n" not in message
     assert message.startswith("mine.json: ")
+    assert "{" not in message, "what is wrong, not all that was found"
     return message
 
 
