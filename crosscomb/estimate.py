@@ -22,7 +22,7 @@ from crosscomb.logs import log_name, read_log
 from crosscomb.models.vehicle import Vehicle, load_vehicle
 from crosscomb.plausibility import check_units
 from crosscomb.prepare import complete
-from crosscomb.resample import Segment, resample, rows_to_grid
+from crosscomb.resample import Segment, resample
 from crosscomb.signals import MIN_SPEED, REFERENCES, Signals
 from crosscomb.tuned import Tuned, with_tuned
 from crosscomb.windows import WindowSettings, window_features
@@ -214,8 +214,7 @@ def estimate_log(
             answer = Answer(run.beta[:, 0], run.beta_std[:, 0], nothing, nothing > 0, nothing)
         active = np.array(members)[answer.active]
         status = _status(run.segment.signals, answer.outside, artefact.rate)
-        rows = signals.t[run.segment.start_row : run.segment.stop_row]
-        at = rows_to_grid(rows, run.segment, artefact.rate)
+        at = run.segment.newest
         parts.append(
             (answer.beta[at], answer.beta_std[at], np.array(names)[active[at]], status[at], run.beta[at])
         )
