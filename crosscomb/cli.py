@@ -263,7 +263,8 @@ def estimate(
     from crosscomb import terminal
     from crosscomb.artefact import load_artefact
     from crosscomb.channel_map import load_map
-    from crosscomb.estimate import estimate_log, name_filters, open_logs, write_estimate
+    from crosscomb.drive import name_filters
+    from crosscomb.estimate import estimate_log, open_logs, write_estimate
     from crosscomb.files import run_record, write_json
     from crosscomb.training.metrics import score_log
     from crosscomb.tuned import load_tuned, require_used
@@ -357,7 +358,7 @@ def benchmark(
     """Print accuracy and speed of all estimators."""
     from crosscomb import terminal
     from crosscomb.artefact import load_artefact
-    from crosscomb.estimate import name_filters
+    from crosscomb.drive import name_filters
     from crosscomb.results import write_benchmark, write_papers
     from crosscomb.training import benchmark as suites
     from crosscomb.training.recordings import find_places

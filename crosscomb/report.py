@@ -15,9 +15,9 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from crosscomb.estimate import LogEstimate
 from crosscomb.files import write_file, write_text
 from crosscomb.signals import MIN_SPEED
+from crosscomb.stream import LogEstimate
 from crosscomb.tree_view import tree_figure, tree_text
 
 if TYPE_CHECKING:
