@@ -1,7 +1,7 @@
 """Does the car understeer or oversteer: slip angles of both axles, and a word that does not chatter.
 
-The axle that slips more gives the word. That difference hardly depends on beta while both axles slip to the
-same side, as an error of beta moves both: it is known better than either slip angle.
+The axle that slips more towards the outside of the turn gives the word. That difference hardly depends on beta, as an
+error of beta moves both slip angles alike: the word is known better than either of them.
 """
 
 from __future__ import annotations
@@ -12,16 +12,16 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from crosscomb.filters.base import MAX_BETA, STEER, STEER_REAR
+from crosscomb.filters.base import AY, MAX_BETA, STEER, STEER_REAR
 from crosscomb.models.single_track import slip_angles
 from crosscomb.models.vehicle import Vehicle
 from crosscomb.motion import Motion
 from crosscomb.signals import MIN_SPEED
 
-NEUTRAL, UNDERSTEER, OVERSTEER, SLIDE, UNKNOWN = range(5)
-STATES = ("neutral", "understeer", "oversteer", "slide", "unknown")
-"""Word of each state: neither axle slips much more than the other; the front; the rear; both are far beyond grip
-and neither more; it cannot be told."""
+NEUTRAL, UNDERSTEER, OVERSTEER, COUNTERSTEER, UNKNOWN = range(5)
+STATES = ("neutral", "understeer", "oversteer", "countersteer", "unknown")
+"""Word of each state: neither axle slips much more than the other; the front does; the rear does; the rear does and
+the front wheels point out of the turn; it cannot be told."""
 
 ENTER = math.radians(2.0)
 """From this difference of the slip angles on [rad] the car understeers or oversteers. The shipped cars in everyday
@@ -30,8 +30,11 @@ bends (4 m/s^2) stay below 1 deg."""
 LEAVE = math.radians(1.2)
 """Below this difference [rad] it no longer does."""
 
-SLIDING = math.radians(12.0)
-"""Both axles beyond this slip angle [rad]: no tyre on any road has more grip to give there."""
+COUNTER = math.radians(1.0)
+"""Steering against the yaw rate by more than this [rad] is countersteering."""
+
+SIDE = 1.0
+"""Below this magnitude of ay [m/s^2] the side of the turn is ever less sure, and the difference counts ever less."""
 
 CONFIRM = 0.1
 """A new state must stand this long [s] before it is said."""
@@ -49,8 +52,8 @@ class Handling(NamedTuple):
         Slip angle of each axle, positive where it pushes to the left; NaN where the state is unknown for want of
         speed or signals.
     understeer : (n,) [rad]
-        Magnitude of the front slip angle less that of the rear one; at small angles the textbook's steering angle
-        less wheelbase over radius. Negative: oversteer.
+        Slip angle of the front axle less that of the rear one, positive where the front slips more to the outside of
+        the turn; at small angles the textbook's steering angle less wheelbase over radius. Negative: oversteer.
     state : (n,) int or str
         Place in `STATES`, or its word.
     """
@@ -61,13 +64,20 @@ class Handling(NamedTuple):
     state: np.ndarray
 
 
-def start_handling() -> np.ndarray:
-    """State, candidate, and samples that the candidate stands ``(3,)``, before the first sample of a drive."""
-    return np.array([UNKNOWN, UNKNOWN, 0])
+class HandlingState(NamedTuple):
+    """State of the words of one drive, changed in place by the kernel."""
+
+    said: np.ndarray  # (3,) state, candidate, and samples that the candidate stands
+    ay: np.ndarray  # (1,) last ay [m/s^2]
+
+
+def start_handling() -> HandlingState:
+    """Make the state before the first sample of a drive."""
+    return HandlingState(np.array([UNKNOWN, UNKNOWN, 0]), np.zeros(1))
 
 
 def handling_of(
-    memory: np.ndarray,
+    memory: HandlingState,
     samples: np.ndarray,
     beta: np.ndarray,
     beta_std: np.ndarray,
@@ -80,7 +90,7 @@ def handling_of(
 
     Parameters
     ----------
-    memory : (3,) int
+    memory : HandlingState
         Changed in place.
     samples : (n, 17)
         As in `crosscomb.filters.base.Inputs`.
@@ -105,28 +115,26 @@ def axle_slips(beta, vx, curvature, steer, steer_rear, a, b):
 
 
 @njit(cache=True)
-def _raw_state(front, rear, margin_front, margin_rear):
-    """State that slip angles speak for, with the margins beyond which one axle slips more than the other."""
-    understeer = abs(front) - abs(rear)
-    if understeer > margin_front:
+def _raw_state(now, understeer, against):
+    """State that one sample speaks for, `now` being the state; `against` is steering against the yaw rate [rad]."""
+    if understeer > (LEAVE if now == UNDERSTEER else ENTER):
         return UNDERSTEER
-    if understeer < -margin_rear:
-        return OVERSTEER
-    return SLIDE if min(abs(front), abs(rear)) > SLIDING else NEUTRAL
+    if understeer < -(LEAVE if now in (OVERSTEER, COUNTERSTEER) else ENTER):
+        return COUNTERSTEER if against > COUNTER else OVERSTEER
+    return NEUTRAL
 
 
 @njit(cache=True)
-def _spoken_for(now, beta, beta_std, vx, curvature, steer, steer_rear, a, b):
-    """State that one sample speaks for, now being the state; unknown where one standard deviation turns it over."""
-    margin_front = LEAVE if now == UNDERSTEER else ENTER
-    margin_rear = LEAVE if now == OVERSTEER else ENTER
+def _spoken_for(now, side, beta, beta_std, vx, curvature, steer, steer_rear, a, b):
+    """Slip angles and state of one sample; the state is unknown where one standard deviation of beta turns it over."""
+    against = -math.copysign(steer, steer * curvature)
     front, rear = axle_slips(beta, vx, curvature, steer, steer_rear, a, b)
-    state = _raw_state(front, rear, margin_front, margin_rear)
-    for side in (-1.0, 1.0):
-        other_beta = min(max(beta + side * beta_std, -MAX_BETA), MAX_BETA)
+    state = _raw_state(now, side * (front - rear), against)
+    for sign in (-1.0, 1.0):
+        other_beta = min(max(beta + sign * beta_std, -MAX_BETA), MAX_BETA)
         f, r = axle_slips(other_beta, vx, curvature, steer, steer_rear, a, b)
-        far = abs((abs(f) - abs(r)) - (abs(front) - abs(rear))) > ENTER
-        if far and _raw_state(f, r, margin_front, margin_rear) != state:
+        far = abs((f - r) - (front - rear)) > ENTER
+        if far and _raw_state(now, side * (f - r), against) != state:
             return front, rear, UNKNOWN
     return front, rear, state
 
@@ -135,26 +143,23 @@ def _spoken_for(now, beta, beta_std, vx, curvature, steer, steer_rear, a, b):
 def _handling_run(
     memory, samples, beta, beta_std, vx, curvature, curvature_std, valid, a, b, confirm, out, state
 ):
+    said = memory.said
     for k in range(beta.size):
+        sample = samples[k]
+        if math.isfinite(sample[AY]):
+            memory.ay[0] = sample[AY]
         if not vx[k] > MIN_SPEED or curvature_std[k] * vx[k] > MOST_YAW_AGE_DOUBT or not valid[k]:
-            memory[0], memory[1], memory[2] = UNKNOWN, UNKNOWN, 0
+            said[0], said[1], said[2] = UNKNOWN, UNKNOWN, 0
             out[0, k], out[1, k], out[2, k] = math.nan, math.nan, math.nan
             state[k] = UNKNOWN
             continue
+        side = min(max(memory.ay[0] / SIDE, -1.0), 1.0)
         front, rear, wanted = _spoken_for(
-            memory[0],
-            beta[k],
-            beta_std[k],
-            vx[k],
-            curvature[k],
-            samples[k, STEER],
-            samples[k, STEER_REAR],
-            a,
-            b,
+            said[0], side, beta[k], beta_std[k], vx[k], curvature[k], sample[STEER], sample[STEER_REAR], a, b
         )
-        memory[2] = memory[2] + 1 if wanted == memory[1] else 1
-        memory[1] = wanted
-        if memory[2] > confirm:
-            memory[0] = wanted
-        out[0, k], out[1, k], out[2, k] = front, rear, abs(front) - abs(rear)
-        state[k] = memory[0]
+        said[2] = said[2] + 1 if wanted == said[1] else 1
+        said[1] = wanted
+        if said[2] > confirm:
+            said[0] = wanted
+        out[0, k], out[1, k], out[2, k] = front, rear, side * (front - rear)
+        state[k] = said[0]

@@ -16,12 +16,12 @@ from crosscomb.artefact import Artefact
 from crosscomb.drive import Drive, Seen, make_filters, name_filters, next_seen, start_drive
 from crosscomb.errors import UsageError
 from crosscomb.filters.base import KernelFilter
-from crosscomb.handling import STATES, Handling, handling_of, start_handling
+from crosscomb.handling import STATES, Handling, HandlingState, handling_of, start_handling
 from crosscomb.models.vehicle import Vehicle
 from crosscomb.motion import Motion, PointVelocity, motion_of, point_velocity, start_motion, velocity_at
 from crosscomb.prepare import Completion, next_rows
-from crosscomb.resample import Grid, next_points, start_grid, stretch_starts
-from crosscomb.signals import COLUMN, UNITS, Signals
+from crosscomb.resample import MAX_GAP, Grid, next_points, start_grid, stretch_starts
+from crosscomb.signals import COLUMN, MIN_SPEED, UNITS, Signals
 from crosscomb.status import INVALID, TEXTS, start_ages, status_codes
 from crosscomb.tuned import Tuned, with_tuned
 
@@ -75,6 +75,13 @@ class LogEstimate:
     def handling_table(self) -> pd.DataFrame:
         """Columns of the handling file: t, slip_front, slip_rear, understeer and state."""
         return pd.DataFrame({"t": self.signals.t, **self.handling._asdict()})
+
+    def handling_shares(self) -> dict[str, float]:
+        """Share of the time above `MIN_SPEED` in each state of handling; all 0 where the car never was that fast."""
+        steps = np.minimum(np.diff(self.signals.t, append=self.signals.t[-1]), MAX_GAP)
+        steps[self.motion.vx <= MIN_SPEED] = 0.0
+        total = max(float(steps.sum()), 1e-9)
+        return {state: float(steps[self.handling.state == state].sum()) / total for state in STATES}
 
 
 class StreamEstimate(NamedTuple):
@@ -165,7 +172,7 @@ class Stretch:
     selection: Selection
     ages: np.ndarray = field(default_factory=start_ages)
     yaw: np.ndarray = field(default_factory=start_motion)
-    state: np.ndarray = field(default_factory=start_handling)
+    handling: HandlingState = field(default_factory=start_handling)
     newest: Answers | None = None  # of the newest grid point
 
 
@@ -209,7 +216,14 @@ def _answers_at(stretch: Stretch, seen: Seen) -> Answers:
     status = status_codes(stretch.ages, samples, answer.outside, dt)
     motion = motion_of(stretch.yaw, samples, plan.vehicle, dt)
     handling = handling_of(
-        stretch.state, samples, answer.beta, answer.beta_std, motion, status & INVALID == 0, plan.vehicle, dt
+        stretch.handling,
+        samples,
+        answer.beta,
+        answer.beta_std,
+        motion,
+        status & INVALID == 0,
+        plan.vehicle,
+        dt,
     )
     active = np.array(plan.members)[answer.active]
     return Answers(answer.beta, answer.beta_std, active, status, seen.beta, motion, handling)
