@@ -7,7 +7,7 @@ error of beta moves both slip angles alike: the word is known better than either
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
@@ -48,20 +48,20 @@ class Handling(NamedTuple):
 
     Attributes
     ----------
-    slip_front, slip_rear : (n,) [rad]
+    slip_front, slip_rear : (n,) or float [rad]
         Slip angle of each axle, positive where it pushes to the left; NaN where the state is unknown for want of
         speed or signals.
-    understeer : (n,) [rad]
+    understeer : (n,) or float [rad]
         Slip angle of the front axle less that of the rear one, positive where the front slips more to the outside of
         the turn; at small angles the textbook's steering angle less wheelbase over radius. Negative: oversteer.
-    state : (n,) int or str
+    state : (n,) int or str, or one of them
         Place in `STATES`, or its word.
     """
 
-    slip_front: np.ndarray
-    slip_rear: np.ndarray
-    understeer: np.ndarray
-    state: np.ndarray
+    slip_front: Any
+    slip_rear: Any
+    understeer: Any
+    state: Any
 
 
 class HandlingState(NamedTuple):
@@ -104,7 +104,8 @@ def handling_of(
     out, state = np.empty((3, len(beta))), np.empty(len(beta), dtype=np.int64)
     arms = vehicle.cg_to_front_axle, vehicle.cg_to_rear_axle
     _handling_run(memory, samples, beta, beta_std, *motion, valid, *arms, round(CONFIRM / dt), out, state)
-    return Handling(*out, state)
+    front, rear, understeer = out
+    return Handling(front, rear, understeer, state)
 
 
 @njit(cache=True)

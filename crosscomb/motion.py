@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
@@ -24,17 +24,17 @@ class Motion(NamedTuple):
 
     Attributes
     ----------
-    vx : (n,) [m/s]
+    vx : (n,) or float [m/s]
         Of the centre of gravity; the last one while it is missing, 0 before the first.
-    curvature : (n,) [1/m]
+    curvature : (n,) or float [1/m]
         Yaw rate over vx; the last yaw rate while it is missing. At low speed that of rolling without slip.
-    curvature_std : (n,) [1/m]
+    curvature_std : (n,) or float [1/m]
         More than 0 while the yaw rate is missing.
     """
 
-    vx: np.ndarray
-    curvature: np.ndarray
-    curvature_std: np.ndarray
+    vx: Any
+    curvature: Any
+    curvature_std: Any
 
 
 class PointVelocity(NamedTuple):
@@ -42,15 +42,15 @@ class PointVelocity(NamedTuple):
 
     Attributes
     ----------
-    vx, vy : float or (n,) [m/s]
-    beta, beta_std : float or (n,) [rad]
+    vx, vy : (n,) or float [m/s]
+    beta, beta_std : (n,) or float [rad]
         Direction of the velocity and its standard deviation.
     """
 
-    vx: np.ndarray
-    vy: np.ndarray
-    beta: np.ndarray
-    beta_std: np.ndarray
+    vx: Any
+    vy: Any
+    beta: Any
+    beta_std: Any
 
 
 def start_motion() -> np.ndarray:
@@ -140,6 +140,7 @@ def velocity_at(beta: np.ndarray, beta_std: np.ndarray, motion: Motion, x: float
         Ahead and to the left of the centre of gravity.
     """
     out = np.empty((4, len(beta)))
-    columns = (np.ascontiguousarray(column) for column in (beta, beta_std, *motion))
-    _points_run(*columns, float(x), float(y), out)
+    along, curvature, curvature_std = map(np.ascontiguousarray, motion)
+    beta, beta_std = np.ascontiguousarray(beta), np.ascontiguousarray(beta_std)
+    _points_run(beta, beta_std, along, curvature, curvature_std, float(x), float(y), out)
     return PointVelocity(*out)

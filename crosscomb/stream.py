@@ -208,8 +208,8 @@ def _answers_at(stretch: Stretch, seen: Seen) -> Answers:
     """Answers at grid points: selection, status, motion and handling."""
     plan, samples, dt = stretch.plan, seen.inputs.samples, seen.inputs.dt
     if plan.switched:
-        chosen = [column[:, plan.members] for column in (seen.beta, seen.beta_std, seen.nis)]
-        answer = select(stretch.selection, samples, *chosen, seen.features)
+        beta, beta_std, nis = (column[:, plan.members] for column in (seen.beta, seen.beta_std, seen.nis))
+        answer = select(stretch.selection, samples, beta, beta_std, nis, seen.features)
     else:
         nothing = np.zeros(len(samples), dtype=np.int64)
         answer = Answer(seen.beta[:, 0], seen.beta_std[:, 0], nothing, nothing > 0, nothing)
@@ -315,10 +315,9 @@ class StreamingEstimator:
         """
         row = sample_row(sample)
         answers = self._take(row[None, :])
-        plan, handling = self._stream.plan, answers.handling
-        beta, motion = float(answers.beta[0]), Motion(*(float(column[0]) for column in answers.motion))
-        beta_std = float(answers.beta_std[0])
-        state = STATES[handling.state[0]]
+        plan, motion = self._stream.plan, Motion(*(float(column[0]) for column in answers.motion))
+        beta, beta_std = float(answers.beta[0]), float(answers.beta_std[0])
+        front, rear, understeer, state = (column[0] for column in answers.handling)
         return StreamEstimate(
             float(row[_T]),
             beta,
@@ -328,7 +327,7 @@ class StreamingEstimator:
             dict(zip(plan.names, answers.filters[0].tolist(), strict=True)),
             point_velocity(beta, beta_std, *motion, 0.0, 0.0)[1],
             motion,
-            Handling(*(float(column[0]) for column in handling[:3]), state),
+            Handling(float(front), float(rear), float(understeer), STATES[state]),
         )
 
     def take(self, chunk: Signals | pd.DataFrame) -> LogEstimate:
@@ -351,7 +350,7 @@ class StreamingEstimator:
         rows = signals.rows()
         answers = self._take(rows)
         made = {name: rows[:, COLUMN[name]].copy() for name in ("steer", "vx", "ax")}
-        return to_estimate(self._stream.plan, signals.with_columns(**made), answers)
+        return to_estimate(self._stream.plan, signals.with_columns("", **made), answers)
 
     def _take(self, rows: np.ndarray) -> Answers:
         """Check and complete rows in place, and take them."""
@@ -380,7 +379,7 @@ def _require_known(names: Any) -> None:
             raise UsageError(f"sample, column {name}: unknown: take of {', '.join(UNITS)}, in SI units")
 
 
-def sample_row(sample: Mapping[str, float] | pd.Series) -> np.ndarray:
+def sample_row(sample: Mapping[str, Any] | pd.Series) -> np.ndarray:
     """One sample as a row ``(columns,)`` of `Signals.rows`; infinite values are no measurements.
 
     Raises
@@ -392,7 +391,7 @@ def sample_row(sample: Mapping[str, float] | pd.Series) -> np.ndarray:
         raise UsageError(f"sample: is a {type(sample).__name__}: pass column names with values, as a dict")
     _require_known(sample.keys())
     row = np.full(len(UNITS), np.nan)
-    for name, value in sample.items():
+    for name, value in dict(sample).items():
         try:
             number = math.nan if value is None else float(value)
         except (TypeError, ValueError):
