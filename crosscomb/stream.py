@@ -121,22 +121,18 @@ class StreamEstimate(NamedTuple):
 
 
 class Answers(NamedTuple):
-    """Answers at some grid points or rows: as in `LogEstimate`, with numbers for words."""
+    """Answers at some grid points or rows, packed: to cut and join two tables is cheap, also for a single sample."""
 
-    beta: np.ndarray
-    beta_std: np.ndarray
-    active: np.ndarray  # (n,) int
-    status: np.ndarray  # (n,) int
-    filters: np.ndarray  # (n, filters)
-    motion: Motion
-    handling: Handling
+    numbers: np.ndarray  # (n, 8 + filters) beta, beta_std, motion, slips and understeer, beta of each filter
+    codes: np.ndarray  # (n, 3) int: active filter, status, state of handling
 
 
-def _each(change: Any, *answers: Any) -> Any:
-    """Apply `change` to the arrays that stand in the same place of each."""
-    if isinstance(answers[0], tuple):
-        return type(answers[0])(*(_each(change, *columns) for columns in zip(*answers, strict=True)))
-    return change(*answers)
+def _joined(parts: Sequence[Answers]) -> Answers:
+    return Answers(*(np.concatenate(tables) for tables in zip(*parts, strict=True)))
+
+
+def _taken(answers: Answers, at: Any) -> Answers:
+    return Answers(answers.numbers[at], answers.codes[at])
 
 
 @dataclass(frozen=True)
@@ -195,13 +191,10 @@ def next_answers(stretch: Stretch, rows: np.ndarray) -> Answers:
         first -= 1
     if len(points):
         made = _answers_at(stretch, next_seen(stretch.drive, points))
-        known = made if known is None else _each(_join, known, made)
-        stretch.newest = _each(lambda column: column[-1:], made)
-    return _each(lambda column: column[newest - first], known)
-
-
-def _join(*columns: np.ndarray) -> np.ndarray:
-    return np.concatenate(columns)
+        stretch.newest = _taken(made, slice(-1, None))
+        known = made if known is None else _joined([known, made])
+    assert known is not None, "the first row of a stretch closes its first grid point"
+    return _taken(known, newest - first)
 
 
 def _answers_at(stretch: Stretch, seen: Seen) -> Answers:
@@ -225,8 +218,9 @@ def _answers_at(stretch: Stretch, seen: Seen) -> Answers:
         plan.vehicle,
         dt,
     )
-    active = np.array(plan.members)[answer.active]
-    return Answers(answer.beta, answer.beta_std, active, status, seen.beta, motion, handling)
+    *slips, state = handling
+    numbers = np.column_stack([answer.beta, answer.beta_std, *motion, *slips, seen.beta])
+    return Answers(numbers, np.column_stack([np.array(plan.members)[answer.active], status, state]))
 
 
 @dataclass
@@ -247,21 +241,22 @@ def advance(stream: Stream, rows: np.ndarray) -> Answers:
         if stream.stretch is None or begin in starts:
             stream.stretch = start_stretch(stream.plan, float(t[begin]))
         parts.append(next_answers(stream.stretch, rows[begin:end]))
-    return parts[0] if len(parts) == 1 else _each(_join, *parts)
+    return parts[0] if len(parts) == 1 else _joined(parts)
 
 
 def to_estimate(plan: Plan, signals: Signals, answers: Answers) -> LogEstimate:
     """Put names to the answers at the rows of a completed log."""
-    handling = answers.handling._replace(state=np.array(STATES, dtype=object)[answers.handling.state])
+    beta, beta_std, *numbers = answers.numbers.T.copy()
+    active, status, state = answers.codes.T
     return LogEstimate(
         signals,
-        answers.beta,
-        answers.beta_std,
-        np.array(plan.names)[answers.active],
-        TEXTS[answers.status],
-        {name: answers.filters[:, i] for i, name in enumerate(plan.names)},
-        answers.motion,
-        handling,
+        beta,
+        beta_std,
+        np.array(plan.names)[active],
+        TEXTS[status],
+        dict(zip(plan.names, numbers[6:], strict=True)),
+        Motion(*numbers[:3]),
+        Handling(*numbers[3:6], np.array(STATES, dtype=object)[state]),
     )
 
 
@@ -315,19 +310,20 @@ class StreamingEstimator:
         """
         row = sample_row(sample)
         answers = self._take(row[None, :])
-        plan, motion = self._stream.plan, Motion(*(float(column[0]) for column in answers.motion))
-        beta, beta_std = float(answers.beta[0]), float(answers.beta_std[0])
-        front, rear, understeer, state = (column[0] for column in answers.handling)
+        plan = self._stream.plan
+        beta, beta_std, *numbers = answers.numbers[0].tolist()
+        active, status, state = answers.codes[0].tolist()
+        motion = Motion(*numbers[:3])
         return StreamEstimate(
             float(row[_T]),
             beta,
             beta_std,
-            plan.names[answers.active[0]],
-            TEXTS[answers.status[0]],
-            dict(zip(plan.names, answers.filters[0].tolist(), strict=True)),
+            plan.names[active],
+            TEXTS[status],
+            dict(zip(plan.names, numbers[6:], strict=True)),
             point_velocity(beta, beta_std, *motion, 0.0, 0.0)[1],
             motion,
-            Handling(float(front), float(rear), float(understeer), STATES[state]),
+            Handling(*numbers[3:6], STATES[state]),
         )
 
     def take(self, chunk: Signals | pd.DataFrame) -> LogEstimate:
