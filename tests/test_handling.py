@@ -26,6 +26,7 @@ from crosscomb.motion import motion_of, start_motion
 from crosscomb.report import estimate_figure
 from crosscomb.signals import Signals, make_signals
 from crosscomb.training.handling_score import count_states, true_slips, true_states
+from crosscomb.training.recordings import find_logs
 from crosscomb.training.simulate import simulate_log
 
 CAR = load_vehicle("generic_compact")
@@ -217,13 +218,16 @@ def test_shares_add_up_over_the_time_in_motion(artefact):
 def test_estimate_writes_and_says_the_handling(crosscomb, write_log, tmp_path):
     log: Signals = simulate_log(CAR, "drift", 0, duration=8.0, surface="wet")
     path = write_log(log.frame, tmp_path / "a.csv")
-    ran = crosscomb("estimate", path, "--vehicle", "generic_compact", "--handling", "-o", tmp_path / "out")
+    ran = crosscomb(
+        "estimate", path, "--vehicle", "generic_compact", "--handling", "--point", "1", "-o", tmp_path / "out"
+    )
     assert (ran.code, ran.err) == (0, "")
     table = pd.read_csv(tmp_path / "out" / "a.handling.csv")
     assert list(table) == ["t", "slip_front", "slip_rear", "understeer", "state"]
     assert len(table) == len(log)
     assert set(table["state"]) <= set(STATES)
     assert any(line.startswith("a: neutral") and "of the time" in line for line in ran.out.splitlines())
+    assert find_logs(tmp_path / "out") == []  # what estimate writes is no log to train on
     plain = crosscomb("estimate", path, "--vehicle", "generic_compact", "-o", tmp_path / "plain")
     assert plain.code == 0
     assert not (tmp_path / "plain" / "a.handling.csv").exists()
