@@ -38,7 +38,7 @@ class Recording:
     signals: Signals
 
 
-OUR_TABLES = (".estimate.csv", ".tuning.csv", "confusion_matrix.csv")
+OUR_TABLES = (".estimate.csv", ".point.csv", ".handling.csv", ".tuning.csv", "confusion_matrix.csv")
 """Endings of what crosscomb itself writes: no logs."""
 
 
