@@ -147,7 +147,7 @@ def _short(values: np.ndarray) -> list[float]:
 
 
 def fit_correction(
-    windows: Windows, owner: np.ndarray, filters: list[str], anchor: int, seed: int
+    windows: Windows, weight: np.ndarray, filters: list[str], anchor: int, seed: int
 ) -> Correction:
     """Fit the networks that correct a filter; its doubt is yet to be learned from recordings left out.
 
@@ -155,14 +155,13 @@ def fit_correction(
     ----------
     windows : Windows
         With all features.
-    owner : (w,) int
-        Recording of each window.
+    weight : (w,)
+        Of each window.
     filters : list of str
     anchor : int
         Index of the filter that is corrected.
     seed : int
     """
-    weight = recording_weights(windows, owner, anchor)
     known = np.isfinite(windows.beta_ref)
     signs = mirror_signs(filters)
     everything = with_mirrored(windows.everything[known], signs)
