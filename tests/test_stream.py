@@ -221,6 +221,7 @@ def test_wrong_samples_are_refused_in_one_line_and_change_nothing(artefact, log,
         (lambda frame: frame.iloc[::-1], ("column t", "goes backwards")),
         (lambda frame: frame.drop(columns="t"), ("column t", "no time")),
         (lambda frame: frame.iloc[:0], ("no rows",)),
+        (lambda frame: frame.assign(vx="fast"), ("no number", "fast")),
     ],
 )
 def test_wrong_chunks_are_refused(artefact, log, change, words):
