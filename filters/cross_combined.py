@@ -14,7 +14,6 @@ from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 
 from crosscomb.filters.base import (
     BETA,
@@ -27,10 +26,11 @@ from crosscomb.filters.base import (
     scalar_update,
 )  # fmt: skip
 from crosscomb.filters.blends import mix
+from crosscomb.filters.dense import copy_into
 from crosscomb.filters.kinematic_kf import KinematicNoise, kinematic_step
 from crosscomb.filters.planar import PlanarNoise
 from crosscomb.filters.sigma_point import SigmaPointState, SimpleUKF, sigma_point_step
-from crosscomb.models.compiled import inlined
+from crosscomb.models.compiled import inlined, kernel
 from crosscomb.models.planar import TRACKS, PlanarCar, planar_car
 
 
@@ -77,7 +77,7 @@ def cross_step(state, sample, car, noise, dt, out):
     kinematic_step(state.kinematic, sample, car, noise.kinematic, dt, state.kinematic_out)
     sigma_point_step(state.dynamic, sample, car, noise.dynamic, dt, state.dynamic_out)
     if resting:
-        out[:3] = state.dynamic_out
+        copy_into(out, state.dynamic_out)
         out[3] = 0.0
         return
     share = kinematic_share(sample, noise)
@@ -90,7 +90,7 @@ def cross_step(state, sample, car, noise, dt, out):
     scalar_update(state.kinematic, 0.0, 1.0, innovation, variance)
 
 
-@njit(cache=True)
+@kernel
 def cross_run(state, samples, car, noise, dt, out):
     """All samples."""
     for k in range(samples.shape[0]):

@@ -16,7 +16,6 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 
 from crosscomb.filters.base import (
     AX,
@@ -37,7 +36,7 @@ from crosscomb.filters.base import (
 from crosscomb.filters.dense import joseph_update, propagate_cov
 from crosscomb.filters.kinematic_kf import velocity_answer
 from crosscomb.filters.kinematic_variants import limit_slip
-from crosscomb.models.compiled import inlined
+from crosscomb.models.compiled import inlined, kernel
 from crosscomb.models.kinematic import input_gain, rotation
 
 PSI, BIAS_YAW, BIAS_AX, BIAS_AY, SCALE = range(2, 7)
@@ -217,7 +216,7 @@ def gnss_kinematic_step(state, sample, car, noise, dt, out):
     velocity_answer(state, out)
 
 
-@njit(cache=True)
+@kernel
 def gnss_kinematic_run(state, samples, car, noise, dt, out):
     """All samples of the kinematic filter."""
     for k in range(samples.shape[0]):

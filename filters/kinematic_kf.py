@@ -12,8 +12,6 @@ import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from numba import njit
-
 from crosscomb.filters.base import (
     AX,
     AY,
@@ -29,7 +27,7 @@ from crosscomb.filters.base import (
     propagate,
     scalar_update,
 )  # fmt: skip
-from crosscomb.models.compiled import inlined
+from crosscomb.models.compiled import inlined, kernel
 from crosscomb.models.kinematic import input_gain, rotation
 from crosscomb.signals import MIN_SPEED
 
@@ -134,7 +132,7 @@ def kinematic_step(state, sample, car, noise, dt, out):
     velocity_answer(state, out)
 
 
-@njit(cache=True)
+@kernel
 def kinematic_run(state, samples, car, noise, dt, out):
     """All samples of the kinematic filter."""
     for k in range(samples.shape[0]):

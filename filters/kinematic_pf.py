@@ -30,6 +30,7 @@ from crosscomb.filters.base import (
 from crosscomb.filters.kinematic_kf import KinematicNoise, forgetting
 from crosscomb.filters.particles import LEAST_STD, RESAMPLE_BELOW, UNIFORM, cloud, draw_uniform, normalise
 from crosscomb.filters.resampling import RESAMPLING, resample
+from crosscomb.models.compiled import kernel
 from crosscomb.models.kinematic import input_gain, rotation
 from crosscomb.signals import MIN_SPEED
 
@@ -47,7 +48,7 @@ class Velocities(NamedTuple):
     running: np.ndarray  # (1,) 1 above the low-speed gate
 
 
-@njit(cache=True)
+@kernel
 def first_velocities(state, vx, beta, beta_std, noise):
     """Spread the particles uniformly, as wide as the Kalman filter's first covariance."""
     x, vy = state.x, vx * math.tan(beta)
@@ -58,7 +59,7 @@ def first_velocities(state, vx, beta, beta_std, noise):
     state.log_weights[:] = 0.0
 
 
-@njit(cache=True)
+@kernel
 def move_velocities(state, ax, ay, yaw_rate, noise, dt):
     """Predict every particle with held accelerations; a missing one keeps the velocity and widens it."""
     x, draws, density, decay = state.x, state.scratch, noise.accel, forgetting(yaw_rate, noise, dt)
@@ -76,7 +77,7 @@ def move_velocities(state, ax, ay, yaw_rate, noise, dt):
         x[1, i] = f10 * vx + f11 * vy + gained_y + shake * draws[1, i]
 
 
-@njit(cache=True)
+@kernel
 def weigh_velocities(state, vx, noise):
     """Add the log likelihood of the measured vx to the log weights."""
     precision = 0.5 / noise.speed**2
@@ -84,7 +85,7 @@ def weigh_velocities(state, vx, noise):
         state.log_weights[i] -= precision * (vx - state.x[0, i]) ** 2
 
 
-@njit(cache=True)
+@kernel
 def weighted_slip(state):
     """Beta of the mean velocity, and its standard deviation to first order [rad]."""
     x, weights = state.x, state.weights

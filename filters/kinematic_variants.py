@@ -20,8 +20,6 @@ import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from numba import njit
-
 from crosscomb.filters.base import (
     AX,
     AY,
@@ -44,7 +42,7 @@ from crosscomb.filters.kinematic_kf import (
     straight_share,
     velocity_answer,
 )
-from crosscomb.models.compiled import inlined
+from crosscomb.models.compiled import inlined, kernel
 from crosscomb.models.kinematic import input_gain
 from crosscomb.models.single_track import single_track_rates, stable_substeps
 from crosscomb.signals import MIN_SPEED
@@ -108,7 +106,7 @@ def zero_yaw_step(state, sample, car, noise, dt, out):
     velocity_answer(state, out)
 
 
-@njit(cache=True)
+@kernel
 def zero_yaw_run(state, samples, car, noise, dt, out):
     """All samples of the pseudo-measuring filter."""
     for k in range(samples.shape[0]):
@@ -155,7 +153,7 @@ def blend_step(state, sample, car, noise, dt, out):
     velocity_answer(state, out)
 
 
-@njit(cache=True)
+@kernel
 def blend_run(state, samples, car, noise, dt, out):
     """All samples of the blending filter."""
     for k in range(samples.shape[0]):

@@ -15,13 +15,13 @@ from crosscomb.models.vehicle import Vehicle
 from crosscomb.selector import Tree
 from crosscomb.switch import SwitchSettings
 from crosscomb.training.bank import BankRun
-from crosscomb.training.fit_boosted import (
+from crosscomb.training.fit_boosted import fit_choice, fit_temperature
+from crosscomb.training.fit_correction import (
     conformal_scale,
-    fit_choice,
     fit_correction,
     fit_doubt,
-    fit_temperature,
-    mirror_signs,
+    left_over,
+    recording_weights,
 )
 from crosscomb.training.folds import grouped_folds
 from crosscomb.training.labels import Windows, concatenate
@@ -251,6 +251,10 @@ class Fitter:
         """Windows of some recordings."""
         return concatenate([self.windows[i] for i in members])
 
+    def owner(self, members: Sequence[int]) -> np.ndarray:
+        """Place in `members` of the recording of each of their windows ``(w,)``."""
+        return np.repeat(np.arange(len(members)), [len(self.windows[i].rmse) for i in members])
+
     def best_single(self, members: Sequence[int]) -> int:
         """Filter with the lowest mean RMSE over some recordings."""
         rmse = [np.sqrt(np.mean(self.windows[i].rmse ** 2, axis=0)) for i in members]
@@ -287,8 +291,8 @@ class Fitter:
         fitted = fit_tree(features, windows, self.kind.by_regret, shape, self.seed)
         tree = to_tree(fitted, features, len(self.filters))
         if self.kind.by_regret:
-            owner = np.repeat(np.arange(len(members)), [len(self.windows[i].rmse) for i in members])
-            tree = keep_what_is_sure(tree, tree.leaves(features), windows, owner, self.best_single(members))
+            safe = self.best_single(members)
+            tree = keep_what_is_sure(tree, tree.leaves(features), windows, self.owner(members), safe)
         # The paper's safe choice is the particle filter; ours the one that was the best by measurement.
         paper = self.selector == "paper" and "random_walk_pf" in self.names
         return Artefact(
@@ -327,18 +331,17 @@ class Fitter:
 
     def _correction(self, members: Sequence[int], inner: Sequence[tuple[list[int], list[int]]]) -> Correction:
         """Fit the correction on all members and its doubt on what parts of them left out."""
-        anchor, signs = self.best_single(members), mirror_signs(self.names)
+        anchor = self.best_single(members)
         parts = []
         for fit, test in inner:
-            part = fit_correction(self.together(fit), self.names, anchor, self.seed)
+            part = fit_correction(self.together(fit), self.owner(fit), self.names, anchor, self.seed)
             windows = self.together(test)
-            known = np.isfinite(windows.beta_ref)
-            seen = windows.everything[known]
-            moved = part.trees.predict(seen) - part.trees.predict(seen * signs)
-            moved = np.clip(0.5 * moved[:, 0], -part.bound, part.bound)
-            parts.append((seen, (windows.beta_ref - windows.beta[:, anchor])[known] - moved))
-        doubt = fit_doubt(parts, signs, self.seed)
-        correction = fit_correction(self.together(members), self.names, anchor, self.seed)
+            weight = recording_weights(windows, self.owner(test), anchor)
+            parts.append(left_over(part, windows, weight, self.names))
+        doubt = fit_doubt(parts, self.names, anchor, self.seed)
+        correction = fit_correction(
+            self.together(members), self.owner(members), self.names, anchor, self.seed
+        )
         return correction.model_copy(update={"doubt": doubt})
 
 
