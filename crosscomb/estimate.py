@@ -80,7 +80,7 @@ class FilterRun:
 def run_filters(
     signals: Signals, vehicle: Vehicle, filters: Sequence[KernelFilter], rate: float, window: WindowSettings
 ) -> list[FilterRun]:
-    """Run filters over a log and cut its windows; training and run time both start here.
+    """Run filters over a log and cut its windows: where training starts. Run time goes the same way, with a switch.
 
     Parameters
     ----------

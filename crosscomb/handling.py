@@ -10,9 +10,9 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 
 from crosscomb.filters.base import AY, MAX_BETA, STEER, STEER_REAR
+from crosscomb.models.compiled import kernel
 from crosscomb.models.single_track import slip_angles
 from crosscomb.models.vehicle import Vehicle
 from crosscomb.motion import Motion
@@ -108,14 +108,14 @@ def handling_of(
     return Handling(front, rear, understeer, state)
 
 
-@njit(cache=True)
+@kernel
 def axle_slips(beta, vx, curvature, steer, steer_rear, a, b):
     """Slip angles of the front and rear axle [rad]; one formula for filters and handling."""
     both = slip_angles(curvature * vx, math.tan(beta), vx, steer, steer_rear, a, b)
     return both[0], both[1]
 
 
-@njit(cache=True)
+@kernel
 def _raw_state(now, understeer, against):
     """State that one sample speaks for, `now` being the state; `against` is steering against the yaw rate [rad]."""
     if understeer > (LEAVE if now == UNDERSTEER else ENTER):
@@ -125,7 +125,7 @@ def _raw_state(now, understeer, against):
     return NEUTRAL
 
 
-@njit(cache=True)
+@kernel
 def _spoken_for(now, side, beta, beta_std, vx, curvature, steer, steer_rear, a, b):
     """Slip angles and state of one sample; the state is unknown where one standard deviation of beta turns it over."""
     against = -math.copysign(steer, steer * curvature)
@@ -140,7 +140,7 @@ def _spoken_for(now, side, beta, beta_std, vx, curvature, steer, steer_rear, a, 
     return front, rear, state
 
 
-@njit(cache=True)
+@kernel
 def _handling_run(
     memory, samples, beta, beta_std, vx, curvature, curvature_std, valid, a, b, confirm, out, state
 ):

@@ -6,9 +6,9 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 
 from crosscomb.filters.base import STEER, STEER_REAR, VX, YAW_RATE
+from crosscomb.models.compiled import kernel
 from crosscomb.models.vehicle import Vehicle
 from crosscomb.signals import MIN_SPEED
 
@@ -75,7 +75,7 @@ def motion_of(last: np.ndarray, samples: np.ndarray, vehicle: Vehicle, dt: float
     return Motion(*out)
 
 
-@njit(cache=True)
+@kernel
 def _motion_run(last, samples, wheelbase, dt, out):
     for k in range(samples.shape[0]):
         sample, vx = samples[k], samples[k, VX]
@@ -92,7 +92,7 @@ def _motion_run(last, samples, wheelbase, dt, out):
             out[2, k] = 0.0
 
 
-@njit(cache=True)
+@kernel
 def point_velocity(beta, beta_std, vx, curvature, curvature_std, x, y):
     """Velocity of a point: vx_p = vx - y r and vy_p = vy + x r, all over vx so that a standing car has an answer.
 
@@ -120,7 +120,7 @@ def point_velocity(beta, beta_std, vx, curvature, curvature_std, x, y):
     return vx * along, vx * across, math.atan2(across, along), doubt
 
 
-@njit(cache=True)
+@kernel
 def _points_run(beta, beta_std, vx, curvature, curvature_std, x, y, out):
     for k in range(beta.size):
         out[0, k], out[1, k], out[2, k], out[3, k] = point_velocity(

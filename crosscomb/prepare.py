@@ -9,8 +9,8 @@ import math
 from dataclasses import dataclass, field
 
 import numpy as np
-from numba import njit
 
+from crosscomb.models.compiled import kernel
 from crosscomb.models.vehicle import Vehicle
 from crosscomb.signals import COLUMN, WHEEL_SPEEDS, Signals
 
@@ -128,7 +128,7 @@ _YAW_RATE = COLUMN["yaw_rate"]
 _VFL, _VFR, _VRL, _VRR = (COLUMN[name] for name in WHEEL_SPEEDS)
 
 
-@njit(cache=True)
+@kernel
 def _wheels_to_speed(rows, track_front, track_rear, out):
     for k in range(rows.shape[0]):
         ahead, yaw_rate = math.cos(rows[k, _STEER]), rows[k, _YAW_RATE]
@@ -185,7 +185,7 @@ def next_slopes(line: Line, t: np.ndarray, values: np.ndarray, window: float) ->
     return slope
 
 
-@njit(cache=True)
+@kernel
 def _slopes(tau, values, first, window, out):
     """Slopes at the samples from `first` on."""
     rounding = 1e-6 * window

@@ -12,8 +12,8 @@ from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
-from numba import njit
 
+from crosscomb.models.compiled import kernel
 from crosscomb.signals import GNSS, REFERENCES, Signals
 
 MAX_GAP = 1.0
@@ -128,7 +128,7 @@ def next_points(grid: Grid, t: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray
     return points, newest
 
 
-@njit(cache=True)
+@kernel
 def _take_rows(state, tau, rows, rate, tolerance, once, points, newest):
     """Take rows one after the other and close the grid points that they reach."""
     before = state.closed[0]
@@ -144,7 +144,7 @@ def _take_rows(state, tau, rows, rate, tolerance, once, points, newest):
         newest[i] = reached
 
 
-@njit(cache=True)
+@kernel
 def _add_row(state, tau, row):
     for j in range(row.size):
         state.fresh[j] = math.isfinite(row[j])
@@ -156,7 +156,7 @@ def _add_row(state, tau, row):
             state.sums[j] += row[j]
 
 
-@njit(cache=True)
+@kernel
 def _close_point(state, rate, tolerance, once, out):
     """Write the next grid point."""
     time, slack = state.closed[0] / rate, tolerance / rate

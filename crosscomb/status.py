@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
 from crosscomb.filters.base import AX, AY, STEER_HELD, VX, VX_HELD, YAW_RATE
+from crosscomb.models.compiled import kernel
 from crosscomb.signals import MIN_SPEED
 
 STALE = 1.0
@@ -58,7 +58,7 @@ def status_codes(ages: np.ndarray, samples: np.ndarray, outside: np.ndarray, dt:
     return codes
 
 
-@njit(cache=True)
+@kernel
 def _codes_run(ages, samples, outside, stale, codes):
     for k in range(codes.size):
         sample, vx = samples[k], samples[k, VX]

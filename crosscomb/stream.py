@@ -208,15 +208,9 @@ def _answers_at(stretch: Stretch, seen: Seen) -> Answers:
         answer = Answer(seen.beta[:, 0], seen.beta_std[:, 0], nothing, nothing > 0, nothing)
     status = status_codes(stretch.ages, samples, answer.outside, dt)
     motion = motion_of(stretch.yaw, samples, plan.vehicle, dt)
+    valid = status & INVALID == 0
     handling = handling_of(
-        stretch.handling,
-        samples,
-        answer.beta,
-        answer.beta_std,
-        motion,
-        status & INVALID == 0,
-        plan.vehicle,
-        dt,
+        stretch.handling, samples, answer.beta, answer.beta_std, motion, valid, plan.vehicle, dt
     )
     *slips, state = handling
     numbers = np.column_stack([answer.beta, answer.beta_std, *motion, *slips, seen.beta])
@@ -339,7 +333,12 @@ class StreamingEstimator:
         else:
             _require_known(chunk.columns)
             columns = [name for name in UNITS if name in chunk]
-            frame = chunk[columns].astype(np.float64).reset_index(drop=True)
+            try:
+                frame = chunk[columns].astype(np.float64).reset_index(drop=True)
+            except (TypeError, ValueError) as error:
+                raise UsageError(
+                    f"chunk: holds something that is no number ({error}): pass SI values"
+                ) from None
             signals = Signals("chunk", frame.replace([np.inf, -np.inf], np.nan))
         if not len(signals):
             raise UsageError("chunk: has no rows: pass at least one")

@@ -12,8 +12,9 @@ from functools import cached_property
 from typing import Literal
 
 import numpy as np
-from numba import njit
 from pydantic import BaseModel, ConfigDict, Field
+
+from crosscomb.models.compiled import kernel
 
 LEAST_YAW_RATE = 0.01
 """Below this yaw rate [rad/s] the slope of ay over yaw rate means nothing and goes to 0."""
@@ -70,7 +71,7 @@ class WindowSettings(BaseModel):
         return self.length if self.features == "raw" else self.length * self.history
 
 
-@njit(cache=True)
+@kernel
 def _statistics(values, start, stop, out):
     """Magnitude of the mean, mean magnitude, standard deviation and largest magnitude of values[start:stop].
 
@@ -89,7 +90,7 @@ def _statistics(values, start, stop, out):
     out[0], out[1], out[2], out[3] = abs(mean), magnitude / n, math.sqrt(squares / n), largest
 
 
-@njit(cache=True)
+@kernel
 def _line(ay, yaw_rate, start, stop, out):
     """Mean product, slope of ay over yaw rate, and what the slope leaves over.
 
@@ -106,7 +107,7 @@ def _line(ay, yaw_rate, start, stop, out):
     out[0], out[1], out[2] = product / n, slope, math.sqrt(max(left, 0.0) / n)
 
 
-@njit(cache=True)
+@kernel
 def statistics_at(ay, yaw_rate, k, length, history, out):
     """Write the features of sample k: of its window, and of the windows before it with it."""
     for level in range(2):
@@ -118,14 +119,14 @@ def statistics_at(ay, yaw_rate, k, length, history, out):
         _line(ay, yaw_rate, start, k + 1, out[11 * level + 8 : 11 * level + 11])
 
 
-@njit(cache=True)
+@kernel
 def _statistics_run(ay, yaw_rate, first, length, history, out):
     """Fill the features of the samples from `first` on."""
     for k in range(first, ay.size):
         statistics_at(ay, yaw_rate, k, length, history, out[k - first])
 
 
-@njit(cache=True)
+@kernel
 def raw_at(ay, yaw_rate, k, length, out):
     """Write the samples of the window of sample k; before the log is its first sample."""
     for j in range(length):
@@ -134,14 +135,14 @@ def raw_at(ay, yaw_rate, k, length, out):
         out[length + j] = yaw_rate[i]
 
 
-@njit(cache=True)
+@kernel
 def _raw_run(ay, yaw_rate, first, length, out):
     """Fill the features of the samples from `first` on with the samples of their windows."""
     for k in range(first, ay.size):
         raw_at(ay, yaw_rate, k, length, out[k - first])
 
 
-@njit(cache=True)
+@kernel
 def _hold(values, last):
     """Fill missing samples in place with the last one before them."""
     for k in range(values.size):

@@ -9,9 +9,8 @@ from functools import cached_property
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
-from numba import njit
 
-from crosscomb.models.compiled import inlined
+from crosscomb.models.compiled import inlined, kernel
 from crosscomb.models.kinematic import slip_of_rolling_rear
 from crosscomb.models.single_track import SingleTrack, single_track
 from crosscomb.models.tyres import TYRE_LAWS
@@ -308,7 +307,7 @@ _AY_FROM = COLUMN["ay"]
 _TORQUE_FL, _TORQUE_FR, _TORQUE_RL, _TORQUE_RR = (COLUMN[name] for name in TORQUES)
 
 
-@njit(cache=True)
+@kernel
 def _inputs_run(held, points, car, samples):
     for k in range(points.shape[0]):
         point, sample = points[k], samples[k]
@@ -324,7 +323,7 @@ def _inputs_run(held, points, car, samples):
         sample[STEER_HELD] = 0.0 if math.isfinite(point[_HELD_FROM[1]]) else 1.0
 
 
-@njit(cache=True)
+@kernel
 def _longitudinal_forces(point, ax, car):
     """Longitudinal force of the front and rear axle [N], from wheel torques or else from ax.
 

@@ -95,7 +95,7 @@ def broken_log(log: Signals, seed: int) -> Signals:
     return make_signals(frame.drop(columns=dropped), "broken")
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=15, deadline=None)
 @given(seed=st.integers(0, 10**6), lengths=st.lists(st.integers(1, 400), min_size=1, max_size=5))
 def test_any_log_in_any_chunks_gives_what_the_whole_log_gives(artefact, log, seed, lengths):
     rough = broken_log(log, seed)
@@ -104,7 +104,7 @@ def test_any_log_in_any_chunks_gives_what_the_whole_log_gives(artefact, log, see
     assert_same(pd.concat([everything(part) for part in parts], ignore_index=True), whole)
 
 
-@settings(max_examples=4, deadline=None)
+@settings(max_examples=3, deadline=None)
 @given(seed=st.integers(0, 10**6))
 def test_any_log_sample_by_sample_gives_what_the_whole_log_gives(artefact, log, seed):
     rough = broken_log(log, seed)
@@ -136,7 +136,7 @@ def test_cut_off_anywhere_the_answers_are_the_same(artefact, log, seed):
 def test_real_logs_live(artefact, data_dir: Path, name):
     path = data_dir / name
     log = read_log(path)
-    log = replace(log, frame=log.frame.iloc[:1500])
+    log = replace(log, frame=log.frame.iloc[:1000])
     car, _, _ = choose_vehicle(path, None, artefact)
     whole = estimate_log(log, car, artefact)
     live = StreamingEstimator(car, artefact)
@@ -221,6 +221,7 @@ def test_wrong_samples_are_refused_in_one_line_and_change_nothing(artefact, log,
         (lambda frame: frame.iloc[::-1], ("column t", "goes backwards")),
         (lambda frame: frame.drop(columns="t"), ("column t", "no time")),
         (lambda frame: frame.iloc[:0], ("no rows",)),
+        (lambda frame: frame.assign(vx="fast"), ("no number", "fast")),
     ],
 )
 def test_wrong_chunks_are_refused(artefact, log, change, words):
