@@ -54,6 +54,7 @@ class KinematicNoise(NamedTuple):
     """Noise settings of the kinematic filter; densities, so that they hold at every rate."""
 
     accel: float = 0.15  # accelerometer error beside the bias [m/s^2 per sqrt(Hz)]
+    ay_scale: float = 0.03  # the same over ay, of scale and body roll [1 per sqrt(Hz)]
     speed: float = 0.1  # measured vx [m/s]
     accel_bias: float = 0.3  # size of the accelerometer biases, bank and slope included [m/s^2]
     bias_time: float = 100.0  # time in which they change [s]
@@ -90,35 +91,39 @@ def inertial_known(ax, ay, yaw_rate):
 
 
 @inlined
-def kinematic_predict(state, ax, ay, yaw_rate, felt, noise, dt):
+def kinematic_predict(state, ax, ay, yaw_rate, felt, other, noise, dt):
     """Predict the state over dt with held accelerations; missing ones keep the velocity and widen it.
 
     Parameters
     ----------
     felt : float
-        Share of ay that is the accelerometer's and so has its bias.
+        Share in which the accelerometer's ay counts.
+    other : float [m/s^2]
+        Lateral acceleration to be added to it.
     """
     mean, cov = state.mean, state.cov
-    density, felt_x = noise.accel, 1.0
+    density, scaled, felt_x = noise.accel, noise.ay_scale * felt * ay, 1.0
     if not inertial_known(ax, ay, yaw_rate):
-        ax, ay, yaw_rate, density, felt_x, felt = 0.0, 0.0, 0.0, noise.missing_accel, 0.0, 0.0
+        ax, ay, yaw_rate, other, felt_x, felt = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        density, scaled = noise.missing_accel, 0.0
     f00, f01, f10, f11 = rotation(yaw_rate, dt)
     g00, g01, g10, g11 = input_gain(yaw_rate, dt)
-    vx, vy, ax, ay = mean[0], mean[1], ax - felt_x * mean[BIAS_AX], ay - felt * mean[BIAS_AY]
-    mean[0] = f00 * vx + f01 * vy + g00 * ax + g01 * ay
-    mean[1] = f10 * vx + f11 * vy + g10 * ax + g11 * ay
-    variance = density * density * dt
+    vx, vy = mean[0], mean[1]
+    along, across = felt_x * (ax - mean[BIAS_AX]), felt * (ay - mean[BIAS_AY]) + other
+    mean[0] = f00 * vx + f01 * vy + g00 * along + g01 * across
+    mean[1] = f10 * vx + f11 * vy + g10 * along + g11 * across
     propagate_biased(
-        cov, f00, f01, f10, f11, -g00 * felt_x, -g01 * felt, -g10 * felt_x, -g11 * felt, variance
-    )
+        cov, f00, f01, f10, f11, -g00 * felt_x, -g01 * felt, -g10 * felt_x, -g11 * felt,
+        density * density * dt, (density * density + scaled * scaled) * dt,
+    )  # fmt: skip
     drift_biases(state, noise, dt)
 
 
 @inlined
-def propagate_biased(cov, f00, f01, f10, f11, g00, g01, g10, g11, variance):
+def propagate_biased(cov, f00, f01, f10, f11, g00, g01, g10, g11, q00, q11):
     """Propagate the covariance ``(4, 4)`` of velocity and constant biases in place.
 
-    F P F' + Q with F = [[F_v, G], [0, I]] and Q = variance diag(1, 1, 0, 0), in scalars.
+    F P F' + Q with F = [[F_v, G], [0, I]] and Q = diag(q00, q11, 0, 0), in scalars.
     """
     p00, p01, p11 = cov[0, 0], cov[0, 1], cov[1, 1]
     c02, c03, c12, c13 = cov[0, 2], cov[0, 3], cov[1, 2], cov[1, 3]
@@ -128,9 +133,9 @@ def propagate_biased(cov, f00, f01, f10, f11, g00, g01, g10, g11, variance):
     m10, m11 = f10 * p00 + f11 * p01 + g10 * c02 + g11 * c03, f10 * p01 + f11 * p11 + g10 * c12 + g11 * c13
     n02, n03 = f00 * c02 + f01 * c12 + g00 * b22 + g01 * b23, f00 * c03 + f01 * c13 + g00 * b23 + g01 * b33
     n12, n13 = f10 * c02 + f11 * c12 + g10 * b22 + g11 * b23, f10 * c03 + f11 * c13 + g10 * b23 + g11 * b33
-    cov[0, 0] = m00 * f00 + m01 * f01 + n02 * g00 + n03 * g01 + variance
+    cov[0, 0] = m00 * f00 + m01 * f01 + n02 * g00 + n03 * g01 + q00
     cov[0, 1] = cov[1, 0] = m00 * f10 + m01 * f11 + n02 * g10 + n03 * g11
-    cov[1, 1] = m10 * f10 + m11 * f11 + n12 * g10 + n13 * g11 + variance
+    cov[1, 1] = m10 * f10 + m11 * f11 + n12 * g10 + n13 * g11 + q11
     cov[0, 2] = cov[2, 0] = n02
     cov[0, 3] = cov[3, 0] = n03
     cov[1, 2] = cov[2, 1] = n12
@@ -316,7 +321,7 @@ def kinematic_step(state, sample, car, noise, dt, out):
     """One sample of the kinematic filter; `out` ``(3,)`` gets beta, its standard deviation and the NIS."""
     if kinematic_start(state, sample, car, noise, dt, out):
         return
-    kinematic_predict(state, sample[AX], sample[AY], sample[YAW_RATE], 1.0, noise, dt)
+    kinematic_predict(state, sample[AX], sample[AY], sample[YAW_RATE], 1.0, 0.0, noise, dt)
     out[NIS] = kinematic_update(state, sample, noise)
     limit_slip(state.mean)
     rolling_update(state, sample, car, noise, dt)

@@ -69,9 +69,8 @@ def first_velocities(state, vx, beta, beta_std, noise):
 
 @njit(cache=True)
 def drift_particles(state, noise, dt):
-    """Let the biases change over dt; the noise for the velocities is left in `scratch`."""
+    """Let the biases change over dt."""
     x, draws = state.x, state.scratch
-    draw_uniform(state.rng, draws)
     keep = math.exp(-dt / noise.bias_time)
     shake = noise.accel_bias * math.sqrt(1.0 - keep * keep)
     for row in range(2, 4):
@@ -87,13 +86,13 @@ def move_velocities(state, ax, ay, yaw_rate, noise, dt):
         ax, ay, yaw_rate, density, felt = 0.0, 0.0, 0.0, noise.missing_accel, 0.0
     f00, f01, f10, f11 = rotation(yaw_rate, dt)
     g00, g01, g10, g11 = input_gain(yaw_rate, dt)
-    shake = density * math.sqrt(dt)
+    shake_x, shake_y = density * math.sqrt(dt), math.hypot(density, noise.ay_scale * ay) * math.sqrt(dt)
     for i in range(x.shape[1]):
         vx, vy = x[0, i], x[1, i]
         along, across = ax - felt * x[BIAS_AX, i], ay - felt * x[BIAS_AY, i]
         # A speed that is only held cannot tell that the car stops: no particle may reverse.
-        x[0, i] = max(f00 * vx + f01 * vy + g00 * along + g01 * across + shake * draws[0, i], MIN_SPEED)
-        x[1, i] = f10 * vx + f11 * vy + g10 * along + g11 * across + shake * draws[1, i]
+        x[0, i] = max(f00 * vx + f01 * vy + g00 * along + g01 * across + shake_x * draws[0, i], MIN_SPEED)
+        x[1, i] = f10 * vx + f11 * vy + g10 * along + g11 * across + shake_y * draws[1, i]
 
 
 @njit(cache=True)
@@ -130,14 +129,16 @@ def weighted_slip(state):
 @njit(cache=True)
 def kinematic_particle_step(state, sample, car, noise, dt, out):
     """One sample of the filter; `out` ``(3,)`` gets beta, its standard deviation and NaN."""
-    drift_particles(state, noise, dt)
+    draw_uniform(state.rng, state.scratch)
     if below_gate(sample) or state.running[0] == 0:
         low_speed_answer(sample, car, out)
+        drift_particles(state, noise, dt)
         state.running[0] = 0 if below_gate(sample) else 1
         if state.running[0] == 1:
             first_velocities(state, sample[VX], out[BETA], out[BETA_STD], noise)
         return
     move_velocities(state, sample[AX], sample[AY], sample[YAW_RATE], noise, dt)
+    drift_particles(state, noise, dt)
     weigh_velocities(state, sample, car, noise, dt)
     effective = normalise(state.log_weights, state.weights)
     out[BETA], out[BETA_STD] = weighted_slip(state)

@@ -58,6 +58,7 @@ class ZeroYawNoise(NamedTuple):
     """Noise settings of the filter with a pseudo-measurement; densities, so that they hold at every rate."""
 
     accel: float = 0.15  # accelerometer error beside the bias [m/s^2 per sqrt(Hz)]
+    ay_scale: float = 0.03  # the same over ay, of scale and body roll [1 per sqrt(Hz)]
     speed: float = 0.1  # measured vx [m/s]
     accel_bias: float = 0.3  # size of the accelerometer biases, bank and slope included [m/s^2]
     bias_time: float = 100.0  # time in which they change [s]
@@ -70,6 +71,7 @@ class BlendNoise(NamedTuple):
     """Noise settings of the blending filter; densities, so that they hold at every rate."""
 
     accel: float = 0.15  # accelerometer error beside the bias [m/s^2 per sqrt(Hz)]
+    ay_scale: float = 0.03  # the same over ay, of scale and body roll [1 per sqrt(Hz)]
     speed: float = 0.1  # measured vx [m/s]
     accel_bias: float = 0.3  # size of the accelerometer biases, bank and slope included [m/s^2]
     bias_time: float = 100.0  # time in which they change [s]
@@ -106,7 +108,7 @@ def zero_yaw_step(state, sample, car, noise, dt, out):
     """One sample of the measuring filter; `out` ``(3,)`` gets beta, its standard deviation and the NIS."""
     if kinematic_start(state, sample, car, noise, dt, out):
         return
-    kinematic_predict(state, sample[AX], sample[AY], sample[YAW_RATE], 1.0, noise, dt)
+    kinematic_predict(state, sample[AX], sample[AY], sample[YAW_RATE], 1.0, 0.0, noise, dt)
     nis = kinematic_update(state, sample, noise)
     share = straight_share(sample[YAW_RATE], noise.turning)
     if share > 0.0 and math.isfinite(sample[AY]):
@@ -148,10 +150,9 @@ def blend_predict(state, sample, share, car, noise, dt):
         slope_x, slope_y = -slope * mean[1], slope * mean[0]
         propagate_biased(
             state.cov, 1.0 + along * slope_x, along * slope_y, across * slope_x, 1.0 + across * slope_y,
-            0.0, 0.0, 0.0, 0.0, 0.0,
+            0.0, 0.0, 0.0, 0.0, 0.0, 0.0,
         )  # fmt: skip
-        felt = 1.0 - share
-        kinematic_predict(state, ax, felt * ay + share * ay_tyres, yaw_rate, felt, noise, h)
+        kinematic_predict(state, ax, ay, yaw_rate, 1.0 - share, share * ay_tyres, noise, h)
         limit_slip(mean)
 
 
@@ -164,7 +165,7 @@ def blend_step(state, sample, car, noise, dt, out):
     if share > 0.0 and inertial_known(sample[AX], sample[AY], sample[YAW_RATE]):
         blend_predict(state, sample, share, car, noise, dt)
     else:
-        kinematic_predict(state, sample[AX], sample[AY], sample[YAW_RATE], 1.0, noise, dt)
+        kinematic_predict(state, sample[AX], sample[AY], sample[YAW_RATE], 1.0, 0.0, noise, dt)
     out[NIS] = kinematic_update(state, sample, noise)
     blind_update(state, sample[YAW_RATE], dt)
     limit_slip(state.mean)

@@ -63,7 +63,8 @@ class BiasedKalman(KalmanFilter):
         if known:
             f[:, 2:] -= gain
         density = self.noise.accel if known else self.noise.missing_accel
-        added = self.drift + np.diag([1.0, 1.0, 0.0, 0.0]) * density**2 * self.dt
+        across = math.hypot(density, self.noise.ay_scale * ay)
+        added = self.drift + self.dt * np.diag([density, across, 0.0, 0.0]) ** 2
         self.predict(u=np.array([[ax], [ay]]), B=gain, F=f, Q=added)
 
     def measure(self, row: list[float], value: float, variance: float) -> float:

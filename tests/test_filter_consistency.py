@@ -91,7 +91,8 @@ def kinematic_drive(rng: np.random.Generator, draw: Draw = normal) -> Drive:
         ax, ay, yaw_rate = samples[k, [AX, AY, YAW_RATE]]
         held = np.reshape(input_gain(yaw_rate, DT), (2, 2)) @ ([ax, ay] - truth[k - 1, 2:])
         turned = np.reshape(rotation(yaw_rate, DT), (2, 2)) @ truth[k - 1, :2]
-        truth[k, :2] = draw(rng, turned + held, np.full(2, noise.accel * np.sqrt(DT)))
+        across = np.hypot(noise.accel, noise.ay_scale * ay)
+        truth[k, :2] = draw(rng, turned + held, np.sqrt(DT) * np.array([noise.accel, across]))
         truth[k, 2:] = draw(
             rng, keep * truth[k - 1, 2:], np.full(2, noise.accel_bias * np.sqrt(1.0 - keep**2))
         )

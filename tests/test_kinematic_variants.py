@@ -67,10 +67,10 @@ def blend_transition(x: np.ndarray, sample: np.ndarray, share: float, noise: Any
     return np.concatenate([velocity, np.exp(-DT / noise.bias_time) * x[2:]])
 
 
-def process_noise(noise: Any) -> np.ndarray:
-    """Variances (4,) that a sample adds to vx, vy and the biases."""
+def process_noise(noise: Any, felt: float) -> np.ndarray:
+    """Variances (4,) that a sample adds to vx, vy and the biases; `felt` is what counts of the measured ay."""
     drift = noise.accel_bias**2 * (1.0 - np.exp(-2.0 * DT / noise.bias_time))
-    return np.array([noise.accel**2 * DT, noise.accel**2 * DT, drift, drift])
+    return np.array([noise.accel**2 * DT, (noise.accel**2 + (noise.ay_scale * felt) ** 2) * DT, drift, drift])
 
 
 def textbook_blend(noise: BlendNoise, inputs: Inputs) -> Estimate:
@@ -91,7 +91,7 @@ def textbook_blend(noise: BlendNoise, inputs: Inputs) -> Estimate:
         ]
         jacobian = np.array(ends).T / 2e-4
         x[:] = blend_transition(x, sample, share, noise)
-        p[:] = jacobian @ p @ jacobian.T + np.diag(process_noise(noise))
+        p[:] = jacobian @ p @ jacobian.T + np.diag(process_noise(noise, (1.0 - share) * sample[AY]))
         s = p[0, 0] + noise.speed**2
         innovation, gain = sample[VX] - x[0], p[:, 0] / s
         x[:] += gain * innovation
@@ -198,7 +198,7 @@ def matched_drive(estimator: KernelFilter, rng: np.random.Generator) -> tuple[np
         share = straight_share(sample[YAW_RATE], noise.turning)
         blended = share if isinstance(estimator, BlendKF) else 0.0
         truth[k] = blend_transition(truth[k - 1], sample, blended, noise)
-        truth[k] += rng.normal(0.0, np.sqrt(process_noise(noise)))
+        truth[k] += rng.normal(0.0, np.sqrt(process_noise(noise, (1.0 - blended) * sample[AY])))
         if isinstance(estimator, ZeroYawKF) and share > 0.0:
             # Rear steering moves the steady slip alone: it makes the pseudo-measurement as the truth demands.
             speed = 20.0

@@ -123,7 +123,8 @@ def kinematic_model(sample: np.ndarray, noise: KinematicNoise) -> tuple[np.ndarr
     step[:2, :2], step[:2, 2:] = np.reshape(rotation(sample[YAW_RATE], DT), (2, 2)), -gain
     held = np.concatenate([gain @ sample[[AX, AY]], np.zeros(2)])
     drift = noise.accel_bias**2 * (1.0 - keep**2)
-    return step, held, np.diag([noise.accel**2 * DT, noise.accel**2 * DT, drift, drift])
+    across = noise.accel**2 + (noise.ay_scale * sample[AY]) ** 2
+    return step, held, np.diag([noise.accel**2 * DT, across * DT, drift, drift])
 
 
 def kinematic_log(noise: KinematicNoise, seed: int, steps: int = 3000) -> Signals:
