@@ -21,7 +21,6 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 
 from crosscomb.filters.base import (
     AX,
@@ -42,7 +41,7 @@ from crosscomb.filters.base import (
     low_speed_answer,
     normal_log_density,
 )  # fmt: skip
-from crosscomb.models.compiled import inlined
+from crosscomb.models.compiled import inlined, kernel
 from crosscomb.models.kinematic import input_gain, rolling_curvature, rolling_rear, rotation
 from crosscomb.signals import MIN_SPEED
 
@@ -207,7 +206,8 @@ def velocity_update(state, h0, h1, innovation, variance):
     g0, g1, g2, g3 = p00 * h0 + p01 * h1, p01 * h0 + p11 * h1, c02 * h0 + c12 * h1, c03 * h0 + c13 * h1
     projected = h0 * g0 + h1 * g1
     s = projected + variance
-    k0, k1, k2, k3 = g0 / s, g1 / s, g2 / s, g3 / s
+    inverse = 1.0 / s
+    k0, k1, k2, k3 = g0 * inverse, g1 * inverse, g2 * inverse, g3 * inverse
     mean[0] += k0 * innovation
     mean[1] += k1 * innovation
     mean[2] += k2 * innovation
@@ -225,7 +225,7 @@ def velocity_update(state, h0, h1, innovation, variance):
     cov[1, 2] = cov[2, 1] = c12 - k2 * g1 + e2 * k1
     cov[1, 3] = cov[3, 1] = c13 - k3 * g1 + e3 * k1
     cov[2, 3] = cov[3, 2] = b23 - k3 * g2 + e3 * k2
-    return innovation * innovation / s, s
+    return innovation * innovation * inverse, s
 
 
 @inlined
@@ -330,7 +330,7 @@ def kinematic_step(state, sample, car, noise, dt, out):
     velocity_answer(state, out)
 
 
-@njit(cache=True)
+@kernel
 def kinematic_run(state, samples, car, noise, dt, out):
     """All samples of the kinematic filter."""
     for k in range(samples.shape[0]):
