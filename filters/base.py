@@ -159,10 +159,10 @@ class KernelFilter:
 
 
 class Gaussian(NamedTuple):
-    """Mean and covariance of a two-state filter, changed in place by its kernel."""
+    """Mean and covariance of a filter of n states, changed in place by its kernel."""
 
-    mean: np.ndarray  # (2,)
-    cov: np.ndarray  # (2, 2)
+    mean: np.ndarray  # (n,)
+    cov: np.ndarray  # (n, n)
     running: np.ndarray  # (1,) 1 above the low-speed gate, 0 below
     evidence: np.ndarray  # (1,) sum of the innovations' log densities; (0,) where nobody asks for it
 

@@ -32,14 +32,14 @@ from crosscomb.filters.base import (
 )  # fmt: skip
 from crosscomb.filters.dense import copy_into
 from crosscomb.filters.dynamic_ekf import DynamicNoise, dynamic_step
-from crosscomb.filters.kinematic_kf import KinematicNoise, kinematic_step
+from crosscomb.filters.kinematic_kf import KinematicNoise, kinematic_state, kinematic_step
 from crosscomb.models.compiled import inlined, kernel
 
 
 class Members(NamedTuple):
     """State of a blend, changed in place by its kernel."""
 
-    kinematic: Gaussian  # vx, vy
+    kinematic: Gaussian  # vx, vy and biases
     dynamic: Gaussian  # yaw_rate, beta
     kinematic_out: np.ndarray  # (3,)
     dynamic_out: np.ndarray  # (3,)
@@ -144,7 +144,8 @@ def fusion_run(state, samples, car, noise, dt, out):
 class _Blend(KernelFilter):
     def make_state(self) -> Any:
         """Make both members before the first sample."""
-        return Members(gaussian(), gaussian(), np.zeros(3), np.zeros(3), np.full(3, np.nan))
+        kinematic = kinematic_state(self.noise.kinematic)
+        return Members(kinematic, gaussian(), np.zeros(3), np.zeros(3), np.full(3, np.nan))
 
 
 @dataclass(frozen=True)

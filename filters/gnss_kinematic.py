@@ -34,8 +34,7 @@ from crosscomb.filters.base import (
     low_speed_answer,
 )  # fmt: skip
 from crosscomb.filters.dense import joseph_update, propagate_cov
-from crosscomb.filters.kinematic_kf import velocity_answer
-from crosscomb.filters.kinematic_variants import limit_slip
+from crosscomb.filters.kinematic_kf import MOST_BIAS, inertial_known, limit_slip, velocity_answer
 from crosscomb.models.compiled import inlined, kernel
 from crosscomb.models.kinematic import input_gain, rotation
 
@@ -88,7 +87,7 @@ def wrap(angle):
 def gnss_predict(state, sample, noise, dt):
     """Predict the seven states over dt; a missing inertial channel keeps the motion and widens it."""
     mean, cov, f, q = state.mean, state.cov, state.transition, state.added
-    known = math.isfinite(sample[AX]) and math.isfinite(sample[AY]) and math.isfinite(sample[YAW_RATE])
+    known = inertial_known(sample[AX], sample[AY], sample[YAW_RATE])
     ax = sample[AX] - mean[BIAS_AX] if known else 0.0
     ay = sample[AY] - mean[BIAS_AY] if known else 0.0
     yaw_rate = sample[YAW_RATE] - mean[BIAS_YAW] if known else 0.0
@@ -196,10 +195,10 @@ def gnss_start(state, sample, car, noise, out):
 
 @inlined
 def limit_errors(mean, noise):
-    """Hold the sensor errors inside six times their size."""
+    """Hold the sensor errors inside `MOST_BIAS` times their size."""
     sizes = (noise.gyro_bias, noise.accel_bias, noise.accel_bias, noise.scale)
     for i in range(4):
-        most = 6.0 * sizes[i]
+        most = MOST_BIAS * sizes[i]
         mean[BIAS_YAW + i] = min(max(mean[BIAS_YAW + i], -most), most)
 
 
