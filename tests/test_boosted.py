@@ -65,7 +65,7 @@ def test_predictions_equal_scikit_learn(table):
 
 def test_trees_learn_the_target(table):
     features, target = table
-    fitted = to_boosted([fit_trees(features[:3000], target[:3000], 0)])
+    fitted = to_boosted([fit_trees(features[:3000], target[:3000], 0, 80)])
     error = fitted.predict(features[3000:])[:, 0] - target[3000:]
     assert np.sqrt(np.mean(error**2)) < 0.2 < 0.5 * target.std()
 

@@ -47,7 +47,7 @@ class TreeShape:
     pruning: float = 1e-4
 
 
-SHAPES = (TreeShape(3, 0.02), TreeShape(4, 0.01), TreeShape(6, 0.005))
+SHAPES = (TreeShape(4, 0.01), TreeShape(6, 0.005), TreeShape(8, 0.003))
 
 
 @dataclass(frozen=True)
@@ -84,7 +84,7 @@ class SelectorKind:
         return self.all_signals or bool(self.choice) or self.corrected
 
 
-STATISTICS = WindowSettings(features="statistics")
+STATISTICS = WindowSettings(features="statistics", history=40)
 
 SELECTORS: dict[str, SelectorKind] = {
     "tree": SelectorKind(
@@ -178,7 +178,7 @@ def to_tree(fitted: DecisionTreeClassifier, features: np.ndarray, n_filters: int
     )
 
 
-SURE = 2.0
+SURE = 1.0
 """A leaf departs from the best single filter where its gain is this many standard errors, over recordings."""
 
 LEAST_WITNESSES = 3
@@ -309,11 +309,11 @@ class Fitter:
         """Artefact with a tree only, its doubt not calibrated."""
         windows = self.together(members)
         features = windows.everything if self.kind.all_signals else windows.features
-        weight = self.balance(members)[self.owner(members)]
+        safe = self.best_single(members)
+        weight = self._weight(members, safe)
         fitted = fit_tree(features, windows, self.kind.by_regret, shape, self.seed, weight)
         tree = to_tree(fitted, features, len(self.filters))
         if self.kind.by_regret:
-            safe = self.best_single(members)
             tree = keep_what_is_sure(tree, tree.leaves(features), windows, self.owner(members), safe)
         # The paper's safe choice is the particle filter; ours the one that was the best by measurement.
         paper = self.selector == "paper" and "random_walk_pf" in self.names
@@ -322,7 +322,7 @@ class Fitter:
             rate=self.rate,
             window=self.kind.window,
             filters=self.filters,
-            fallback="random_walk_pf" if paper else self.names[self.best_single(members)],
+            fallback="random_walk_pf" if paper else self.names[safe],
             switch=SwitchSettings(),
             tree=tree,
             tree_sees_all=self.kind.all_signals,
@@ -352,7 +352,7 @@ class Fitter:
         return fit_trust(error, beta_std, beta)
 
     def _weight(self, members: Sequence[int], anchor: int) -> np.ndarray:
-        """Weight of each window of some recordings for the correction of a filter ``(w,)``."""
+        """Weight of each window of some recordings ``(w,)``, by what the best single filter leaves of them."""
         windows, owner = self.together(members), self.owner(members)
         return recording_weights(windows, owner, anchor) * self.balance(members)[owner]
 

@@ -23,7 +23,7 @@ MOST_WINDOWS = 30_000
 
 
 def fit_trees(
-    features: np.ndarray, target: np.ndarray, seed: int, iterations: int = ITERATIONS
+    features: np.ndarray, target: np.ndarray, seed: int, iterations: int
 ) -> HistGradientBoostingRegressor:
     """Fit one sum of regression trees.
 
@@ -89,7 +89,7 @@ def fit_choice(windows: Windows, filters: list[str], soft: bool, seed: int) -> C
     windows = windows.thinned(MOST_WINDOWS)
     features = with_mirrored(windows.everything, mirror_signs(filters))
     excess = np.degrees(windows.rmse - windows.rmse.min(axis=1, keepdims=True))
-    models = [fit_trees(features, np.tile(-excess[:, i], 2), seed) for i in range(len(filters))]
+    models = [fit_trees(features, np.tile(-excess[:, i], 2), seed, ITERATIONS) for i in range(len(filters))]
     return Choice(trees=to_boosted(models), soft=soft)
 
 
