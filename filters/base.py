@@ -11,7 +11,7 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 import pandas as pd
 
-from crosscomb.models.compiled import inlined
+from crosscomb.models.compiled import bare, inlined
 from crosscomb.models.kinematic import slip_of_rolling_rear
 from crosscomb.models.single_track import SingleTrack, single_track
 from crosscomb.models.tyres import TYRE_LAWS
@@ -169,13 +169,13 @@ def gaussian() -> Gaussian:
     return Gaussian(np.zeros(2), np.eye(2), np.zeros(1, dtype=np.int64), np.empty(0))
 
 
-@inlined
+@bare
 def below_gate(sample):
     """Tell whether the car is too slow for tyre slip to matter (also when it reverses)."""
     return not sample[VX] > MIN_SPEED
 
 
-@inlined
+@bare
 def low_speed_answer(sample, car, out):
     """Write the sideslip angle of rolling without tyre slip."""
     out[BETA] = slip_of_rolling_rear(sample[STEER], sample[STEER_REAR], car.a, car.b)
@@ -183,7 +183,7 @@ def low_speed_answer(sample, car, out):
     out[NIS] = math.nan
 
 
-@inlined
+@bare
 def normal_log_density(nis, variance):
     """Log density of an innovation with its NIS and variance."""
     return -0.5 * (nis + math.log(variance) + LOG_2_PI)

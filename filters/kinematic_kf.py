@@ -41,7 +41,7 @@ from crosscomb.filters.base import (
     low_speed_answer,
     normal_log_density,
 )  # fmt: skip
-from crosscomb.models.compiled import inlined, kernel
+from crosscomb.models.compiled import bare, bare_loop
 from crosscomb.models.kinematic import input_gain, rolling_curvature, rolling_rear, rotation
 from crosscomb.signals import MIN_SPEED
 
@@ -83,13 +83,13 @@ def kinematic_state(noise: Any) -> Gaussian:
     return Gaussian(np.zeros(4), cov, np.zeros(1, dtype=np.int64), np.empty(0))
 
 
-@inlined
+@bare
 def inertial_known(ax, ay, yaw_rate):
     """Tell whether accelerations and yaw rate are there and possible."""
     return abs(ax) < MOST_ACCEL and abs(ay) < MOST_ACCEL and abs(yaw_rate) < MOST_YAW_RATE
 
 
-@inlined
+@bare
 def kinematic_predict(state, ax, ay, yaw_rate, felt, other, noise, dt):
     """Predict the state over dt with held accelerations; missing ones keep the velocity and widen it.
 
@@ -118,7 +118,7 @@ def kinematic_predict(state, ax, ay, yaw_rate, felt, other, noise, dt):
     drift_biases(state, noise, dt)
 
 
-@inlined
+@bare
 def propagate_biased(cov, f00, f01, f10, f11, g00, g01, g10, g11, q00, q11):
     """Propagate the covariance ``(4, 4)`` of velocity and constant biases in place.
 
@@ -141,7 +141,7 @@ def propagate_biased(cov, f00, f01, f10, f11, g00, g01, g10, g11, q00, q11):
     cov[1, 3] = cov[3, 1] = n13
 
 
-@inlined
+@bare
 def drift_biases(state, noise, dt):
     """Let the biases change over dt as a first-order Gauss-Markov process of their size and time."""
     mean, cov = state.mean, state.cov
@@ -157,7 +157,7 @@ def drift_biases(state, noise, dt):
     cov[2, 3] = cov[3, 2] = keep * keep * cov[2, 3]
 
 
-@inlined
+@bare
 def kinematic_start(state, sample, car, noise, dt, out):
     """Answer where the car is slow and start on the first sample above the gate; True where it did either.
 
@@ -182,7 +182,7 @@ def kinematic_start(state, sample, car, noise, dt, out):
     return True
 
 
-@inlined
+@bare
 def velocity_update(state, h0, h1, innovation, variance):
     """Update the four states with one measurement h0 vx + h1 vy, in Joseph form.
 
@@ -228,7 +228,7 @@ def velocity_update(state, h0, h1, innovation, variance):
     return innovation * innovation * inverse, s
 
 
-@inlined
+@bare
 def kinematic_update(state, sample, noise):
     """Update with the measured vx; give the NIS, NaN where vx is only held."""
     mean = state.mean
@@ -241,7 +241,7 @@ def kinematic_update(state, sample, noise):
     return math.nan
 
 
-@inlined
+@bare
 def rolling_measurement(sample, vx, bias_ay, car, noise, dt):
     """What a gently driven car tells about its velocity: h vx + vy = rest, with a variance.
 
@@ -273,7 +273,7 @@ def rolling_measurement(sample, vx, bias_ay, car, noise, dt):
     return h, rest, (noise.rolling**2 + slip * slip) / (dt * share)
 
 
-@inlined
+@bare
 def rolling_update(state, sample, car, noise, dt):
     """Update with a rear axle that moves along its wheels, as far as the car is driven gently."""
     mean = state.mean
@@ -282,14 +282,14 @@ def rolling_update(state, sample, car, noise, dt):
         velocity_update(state, h, 1.0, rest - h * mean[0] - mean[1], variance)
 
 
-@inlined
+@bare
 def blind_update(state, yaw_rate, dt):
     """Hold vy near 0 while the yaw rate is missing."""
     if not abs(yaw_rate) < MOST_YAW_RATE:
         velocity_update(state, 0.0, 1.0, -state.mean[1], BLIND * BLIND / dt)
 
 
-@inlined
+@bare
 def limit_slip(mean):
     """Hold the state [vx, vy, ...] where beta stays inside `MAX_BETA`."""
     mean[0] = max(mean[0], 0.5 * MIN_SPEED)
@@ -297,7 +297,7 @@ def limit_slip(mean):
     mean[1] = min(max(mean[1], -most), most)
 
 
-@inlined
+@bare
 def limit_biases(mean, noise):
     """Hold the biases inside `MOST_BIAS` times their size."""
     most = MOST_BIAS * noise.accel_bias
@@ -305,7 +305,7 @@ def limit_biases(mean, noise):
     mean[BIAS_AY] = min(max(mean[BIAS_AY], -most), most)
 
 
-@inlined
+@bare
 def velocity_answer(state, out):
     """Write beta of the state [vx, vy, ...] and its standard deviation."""
     mean, cov = state.mean, state.cov
@@ -316,7 +316,7 @@ def velocity_answer(state, out):
     out[BETA_STD] = math.sqrt(spread) / speed2
 
 
-@inlined
+@bare
 def kinematic_step(state, sample, car, noise, dt, out):
     """One sample of the kinematic filter; `out` ``(3,)`` gets beta, its standard deviation and the NIS."""
     if kinematic_start(state, sample, car, noise, dt, out):
@@ -330,7 +330,7 @@ def kinematic_step(state, sample, car, noise, dt, out):
     velocity_answer(state, out)
 
 
-@kernel
+@bare_loop
 def kinematic_run(state, samples, car, noise, dt, out):
     """All samples of the kinematic filter."""
     for k in range(samples.shape[0]):
