@@ -31,8 +31,8 @@ class Entry:
 CATALOGUE: dict[str, Entry] = {
     "kinematic_kf": Entry(
         "kinematic_kf:KinematicKF",
-        "Kalman filter that integrates the accelerometers; right in slides, drifts on straights",
-        "Atheupe 2023, eq. 18 to 21",
+        "Kalman filter that integrates the accelerometers and learns their offsets; right in slides, coarse elsewhere",
+        "Atheupe 2023, eq. 18 to 21; Ryu and Gerdes 2004",
     ),
     "dynamic_ekf": Entry(
         "dynamic_ekf:DynamicEKF",
@@ -156,12 +156,12 @@ CATALOGUE: dict[str, Entry] = {
     ),
     "kinematic_kf_zero_yaw": Entry(
         "kinematic_variants:ZeroYawKF",
-        "kinematic_kf that measures the steady slip near zero yaw rate; wrong when the car slides straight on",
+        "kinematic filter that measures the steady slip near zero yaw rate; wrong when the car slides straight on",
         "Chindamo 2018, section 2.2 (Farrelly)",
     ),
     "kinematic_blend_kf": Entry(
         "kinematic_variants:BlendKF",
-        "kinematic_kf that goes over to the tyres' forces near zero yaw rate; wrong when the car slides straight on",
+        "kinematic filter on the tyres' forces near zero yaw rate; wrong when the car slides straight on",
         "Chindamo 2018, section 2.2 (Ungoren)",
     ),
     "luenberger": Entry(

@@ -1,8 +1,8 @@
-"""Kinematic Kalman filters that do not drift near zero yaw rate.
+"""Kinematic Kalman filters with the help of a tyre near zero yaw rate.
 
 The kinematic filter's vy is observable only while the car turns (Chindamo 2018, section 2.1). Both filters
 here help it where it is not, with the share w = exp(-(yaw_rate / turning)^2) of driving that counts as
-straight:
+straight, in place of the rolling rear axle of `crosscomb.filters.kinematic_kf`:
 
 - `ZeroYawKF` (after Farrelly and Wellstead; Chindamo 2018, section 2.2) measures vy there: the linear single
   track in a steady state gives beta = b r / vx + steer_rear - m a ay / (L Cr).
@@ -10,8 +10,8 @@ straight:
   dynamic model instead of the accelerometer: vy_dot = (1 - w) ay + w Fy(vy) / m - r vx, which pulls vy back
   as tyres do.
 
-In turns both are the kinematic filter, so slides do not hurt them; both are wrong when the car slides
-straight on.
+Both learn the accelerometers' biases. In turns nothing but vx is measured, so slides do not hurt them; both are
+wrong when the car slides straight on.
 """
 
 from __future__ import annotations
@@ -19,6 +19,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from typing import NamedTuple
+
+from numba import njit
 
 from crosscomb.filters.base import (
     AX,
@@ -47,7 +49,7 @@ from crosscomb.filters.kinematic_kf import (
     velocity_answer,
     velocity_update,
 )
-from crosscomb.models.compiled import inlined, kernel
+from crosscomb.models.compiled import inlined
 from crosscomb.models.kinematic import input_gain
 from crosscomb.models.single_track import single_track_rates, stable_substeps
 
@@ -122,7 +124,7 @@ def zero_yaw_step(state, sample, car, noise, dt, out):
     velocity_answer(state, out)
 
 
-@kernel
+@njit(cache=True)
 def zero_yaw_run(state, samples, car, noise, dt, out):
     """All samples of the pseudo-measuring filter."""
     for k in range(samples.shape[0]):
@@ -171,7 +173,7 @@ def blend_step(state, sample, car, noise, dt, out):
     velocity_answer(state, out)
 
 
-@kernel
+@njit(cache=True)
 def blend_run(state, samples, car, noise, dt, out):
     """All samples of the blending filter."""
     for k in range(samples.shape[0]):

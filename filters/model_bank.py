@@ -5,7 +5,7 @@ Three extended Kalman filters run at once (Atheupe 2023, references 63 and 67):
 0. the single track on the vehicle's friction,
 1. the single track on low friction,
 2. the kinematic model beta_dot = (ay cos beta - ax sin beta) cos beta / vx - yaw_rate, which forgets beta
-   slowly as the kinematic filter does.
+   slowly.
 
 All three measure the yaw rate and ay. The kinematic model uses ay up as an input and so predicts nothing
 about it: its density of ay is that of a normal one standard deviation `surprise` away from its centre, so
