@@ -9,6 +9,8 @@ import numpy as np
 from numba import njit
 from pydantic import BaseModel, ConfigDict, Field
 
+from crosscomb.filters.base import MAX_BETA
+
 
 class SwitchSettings(BaseModel):
     """How decisions become switches, in seconds so that they hold at every rate.
@@ -34,8 +36,8 @@ class SwitchSettings(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     dwell: float = Field(default=0.2, ge=0.0, le=60.0)
-    confirm: float = Field(default=0.05, ge=0.0, le=60.0)
-    transition: float = Field(default=0.1, ge=0.0, le=60.0)
+    confirm: float = Field(default=0.2, ge=0.0, le=60.0)
+    transition: float = Field(default=0.2, ge=0.0, le=60.0)
     slew: float = Field(default=0.4, gt=0.0)
     settle: float = Field(default=0.5, ge=0.0, le=60.0)
     stale: float = Field(default=0.5, gt=0.0, le=60.0)
@@ -152,7 +154,7 @@ def switch_step(state, beta, beta_std, wanted, times):
         current = wanted
     faded = (1.0 - times.decay) * values[0]
     values[0] -= min(max(faded, -times.most), times.most)
-    values[1] = beta[current] + values[0]
+    values[1] = min(max(beta[current] + values[0], -MAX_BETA), MAX_BETA)
     counts[4] += 1
     # While the old estimate fades out, what parts it from the new one is doubt.
     return values[1], math.sqrt(beta_std[current] ** 2 + values[0] * values[0]), current

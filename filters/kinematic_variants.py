@@ -20,8 +20,6 @@ import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from numba import njit
-
 from crosscomb.filters.base import (
     AX,
     AY,
@@ -49,7 +47,7 @@ from crosscomb.filters.kinematic_kf import (
     velocity_answer,
     velocity_update,
 )
-from crosscomb.models.compiled import inlined
+from crosscomb.models.compiled import inlined, kernel
 from crosscomb.models.kinematic import input_gain
 from crosscomb.models.single_track import single_track_rates, stable_substeps
 
@@ -124,7 +122,7 @@ def zero_yaw_step(state, sample, car, noise, dt, out):
     velocity_answer(state, out)
 
 
-@njit(cache=True)
+@kernel
 def zero_yaw_run(state, samples, car, noise, dt, out):
     """All samples of the pseudo-measuring filter."""
     for k in range(samples.shape[0]):
@@ -173,7 +171,7 @@ def blend_step(state, sample, car, noise, dt, out):
     velocity_answer(state, out)
 
 
-@njit(cache=True)
+@kernel
 def blend_run(state, samples, car, noise, dt, out):
     """All samples of the blending filter."""
     for k in range(samples.shape[0]):
