@@ -17,6 +17,8 @@ from crosscomb.switch import SwitchSettings
 from crosscomb.training.bank import BankRun
 from crosscomb.training.fit_boosted import fit_choice, fit_temperature
 from crosscomb.training.fit_correction import (
+    FEW_MEMBERS,
+    MEMBERS,
     conformal_scale,
     fit_correction,
     fit_doubt,
@@ -111,6 +113,9 @@ SELECTORS: dict[str, SelectorKind] = {
     ),
 }  # fmt: skip
 
+MOST_WINDOWS = 60_000
+"""So many windows train a tree at most, evenly thinned: neighbours are near copies."""
+
 MOST_BALANCE = 8.0
 """A real recording counts at most so many times as much as a simulated one."""
 
@@ -148,7 +153,10 @@ def fit_tree(
     weight : (w,), optional
         Of each window.
     """
-    label, classes = windows.label, windows.rmse.shape[1]
+    saved = windows.saved if weight is None else windows.saved * weight[:, None]
+    every = slice(None, None, -(-len(features) // MOST_WINDOWS))
+    features, label, saved = features[every], windows.label[every], saved[every]
+    classes = saved.shape[1]
     tree = DecisionTreeClassifier(
         criterion="entropy", max_depth=shape.depth, min_weight_fraction_leaf=shape.leaf, ccp_alpha=shape.pruning,
         random_state=seed,
@@ -156,7 +164,6 @@ def fit_tree(
     if not by_regret:
         return tree.fit(features, label)
     votes = np.tile(np.arange(classes), len(label))
-    saved = windows.saved if weight is None else windows.saved * weight[:, None]
     return tree.fit(np.repeat(features, classes, axis=0), votes, sample_weight=saved.ravel())
 
 
@@ -281,6 +288,11 @@ class Fitter:
         rmse = [np.sqrt(np.mean(self.windows[i].rmse ** 2, axis=0)) for i in members]
         return int(np.argmin(np.mean(rmse, axis=0)))
 
+    def anchor(self, members: Sequence[int]) -> int:
+        """Filter with the lowest median RMSE: nearly right in most driving, whatever it does in slides."""
+        rmse = [np.sqrt(np.mean(self.windows[i].rmse ** 2, axis=0)) for i in members]
+        return int(np.argmin(np.median(rmse, axis=0)))
+
     def fit(self, members: Sequence[int]) -> tuple[Artefact, TreeShape]:
         """Fit on some recordings: the shape of the tree and the trust are found on folds inside them."""
         inner = grouped_folds(list(members), INNER_FOLDS, self.seed)
@@ -358,18 +370,18 @@ class Fitter:
 
     def _correction(self, members: Sequence[int], inner: Sequence[tuple[list[int], list[int]]]) -> Correction:
         """Fit the correction on all members and its doubt on what parts of them left out."""
-        anchor = self.best_single(members)
-        parts = []
-        for fit, test in inner:
-            part = fit_correction(self.together(fit), self.owner(fit), self.names, anchor, self.seed)
-            windows = self.together(test)
-            weight = recording_weights(windows, self.owner(test), anchor)
-            parts.append(left_over(part, windows, weight, self.names))
+        anchor = self.anchor(members)
+
+        def fit_on(some: Sequence[int], networks: int) -> Correction:
+            weight = self._weight(some, anchor)
+            return fit_correction(self.together(some), weight, self.names, anchor, self.seed, networks)
+
+        parts = [
+            left_over(fit_on(fit, FEW_MEMBERS), self.together(test), self._weight(test, anchor), self.names)
+            for fit, test in inner
+        ]
         doubt = fit_doubt(parts, self.names, anchor, self.seed)
-        correction = fit_correction(
-            self.together(members), self.owner(members), self.names, anchor, self.seed
-        )
-        return correction.model_copy(update={"doubt": doubt})
+        return fit_on(members, MEMBERS).model_copy(update={"doubt": doubt})
 
 
 def fit_trust(error: np.ndarray, beta_std: np.ndarray, beta: np.ndarray) -> Trust:

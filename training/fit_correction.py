@@ -19,12 +19,15 @@ from crosscomb.training.labels import Windows
 MEMBERS, HIDDEN = 3, (64, 32)
 """Networks that correct together, and the neurons of their layers; on simulated logs more brought little."""
 
+FEW_MEMBERS = 2
+"""Networks in the fits that only show what is left over on other recordings."""
+
 DOUBT_HIDDEN = (32, 16)
 
-MOST_WINDOWS = 100_000
+MOST_WINDOWS = 150_000
 """So many windows train at most, evenly thinned: neighbours are near copies."""
 
-BATCH, EPOCHS, STEPS = 512, 30, 7000
+BATCH, EPOCHS, STEPS = 512, 30, 12_000
 """Windows per step, passes over the windows, and steps at most."""
 
 UNIT = np.radians(1.0)
@@ -147,7 +150,7 @@ def _short(values: np.ndarray) -> list[float]:
 
 
 def fit_correction(
-    windows: Windows, weight: np.ndarray, filters: list[str], anchor: int, seed: int
+    windows: Windows, weight: np.ndarray, filters: list[str], anchor: int, seed: int, members: int = MEMBERS
 ) -> Correction:
     """Fit the networks that correct a filter; its doubt is yet to be learned from recordings left out.
 
@@ -161,6 +164,8 @@ def fit_correction(
     anchor : int
         Index of the filter that is corrected.
     seed : int
+    members : int
+        Networks that answer together.
     """
     known = np.isfinite(windows.beta_ref)
     signs = mirror_signs(filters)
@@ -170,7 +175,7 @@ def fit_correction(
     network = fit_network(
         with_mirrored(windows.everything[known][every], signs),
         np.concatenate([missing[every], -missing[every]]) / UNIT,
-        np.tile(weight[known][every], 2), filters, anchor, MEMBERS, HIDDEN, seed,
+        np.tile(weight[known][every], 2), filters, anchor, members, HIDDEN, seed,
     )  # fmt: skip
     return Correction(
         anchor=filters[anchor],
