@@ -19,6 +19,7 @@ from crosscomb.training.identify import identify
 from crosscomb.training.manoeuvres import MANOEUVRES
 from crosscomb.training.road import draw_road
 from crosscomb.training.scene import Scene
+from crosscomb.training.schedule import CONTROL_PERIOD
 from crosscomb.training.sensors import PERFECT, PRODUCTION, SensorFaults, draw_faults, measure
 from crosscomb.training.simulate import run_plan
 from crosscomb.training.spread import draw_driver
@@ -74,7 +75,8 @@ def make_case(seed: int, reference: bool = False, car: str = "generic_compact") 
         "yaw_inertia": true.yaw_inertia * rng.uniform(0.8, 1.25),
         "roll_gradient": true.roll_gradient * rng.uniform(0.5, 1.5),
     }
-    lag = true.plant.steer_lag - faults.latency["steer_wheel"]
+    # The driver's command is held for a control period: in the mean it acts half of one later than it is logged.
+    lag = true.plant.steer_lag + 0.5 * CONTROL_PERIOD - faults.latency["steer_wheel"]
     truth = {name: float(getattr(true, name)) for name in changes} | {
         "steer_offset": faults.bias["steer_wheel"] / true.steering_ratio,
         "yaw_bias": faults.bias["yaw_rate"],

@@ -7,7 +7,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from crosscomb.models.single_track import SingleTrack, single_track
+from crosscomb.models.plant import PlantParameters, make_plant
+from crosscomb.models.tyres_combined import FIRM_GROUND
 from crosscomb.models.vehicle import Vehicle
 from crosscomb.training.identify_drive import Drive
 from crosscomb.training.identify_motion import Sensing
@@ -123,19 +124,20 @@ def make_sensing(car: dict[str, float], offsets: dict[str, float]) -> Sensing:
     return Sensing(ratio=car["steering_ratio"], **offsets, **{name: car[name] for name in common})
 
 
-def tyre_car(vehicle: Vehicle, car: dict[str, float]) -> SingleTrack:
-    """Single track with the parameters of a fit and the rational tyre.
+def tyre_car(vehicle: Vehicle, car: dict[str, float]) -> PlantParameters:
+    """The car with the parameters of a fit, as the simulation plant takes it.
 
-    Its curve is, up to the third power of the slip angle, that of the plant's default Magic Formula.
+    Unlike in the plant, stiffness does not fall with the friction of the road: that on these roads is sought.
     """
-    return single_track(vehicle, "rational")._replace(
-        a=vehicle.wheelbase - car["cg_to_rear_axle"],
-        b=car["cg_to_rear_axle"],
-        yaw_inertia=car["yaw_inertia"],
-        stiffness_front=car["cornering_stiffness_front"],
-        stiffness_rear=car["cornering_stiffness_rear"],
-        friction=car["friction"],
+    b = car["cg_to_rear_axle"]
+    given = {name: car[name] for name in ("yaw_inertia", "cornering_stiffness_front", "cornering_stiffness_rear")}
+    moved = {"cg_to_front_axle": vehicle.wheelbase - b, "cg_to_rear_axle": b}
+    plant = make_plant(vehicle.model_copy(update=given | moved))
+    yielding = np.sqrt(min(car["friction"] / FIRM_GROUND, 1.0))
+    front, rear = (
+        tyre._replace(stiffness=tyre.stiffness / yielding) for tyre in (plant.tyre_front, plant.tyre_rear)
     )
+    return plant._replace(tyre_front=front, tyre_rear=rear)
 
 
 @dataclass(frozen=True)
