@@ -17,7 +17,7 @@ from scipy.signal import bilinear, lfilter
 
 from crosscomb.filters.base import MAX_BETA
 from crosscomb.models.plant import PlantParameters
-from crosscomb.models.plant_motion import ROLLING_RESISTANCE
+from crosscomb.models.plant_motion import ROLLING_RESISTANCE, TOE_LAG
 from crosscomb.models.single_track import body_rates
 from crosscomb.models.tyres_combined import SLIP_STIFFNESS_RATIO, combined_forces
 from crosscomb.models.vehicle import Vehicle
@@ -32,12 +32,17 @@ second with which a car answers its steering. With the right parameters there is
 """
 
 
-SUBSTEPS = 1
 FASTEST = 150.0
 """Slip follows no faster than this [1/s]: the steps bear no more."""
-MAX_SLIP = 2.0
+MAX_SLIP, MAX_YAW_RATE = 2.0, 5.0  # [-], [rad/s]
 MOST_LONGITUDINAL = 0.7
 """Share of its grip that an axle uses along at most, as far as the model goes."""
+
+
+R, BETA, SLIP_F, SLIP_R, TOE_F, TOE_R, ROLL, ROLL_RATE = range(8)
+STATES = 8
+"""Yaw rate, beta, relaxed lateral slips, what side force takes from the wheels' angles, and ay as the body carries it
+with its rate; SI."""
 
 
 class Sensing(NamedTuple):
@@ -89,7 +94,6 @@ def run_model(
             drive.steer_rear,
             np.gradient(drive.vx, drive.t),
             np.interp(drive.t + sensing.yaw_delay, drive.t, drive.yaw_rate) - sensing.yaw_bias,
-            follow(drive.ay, *_second_order(car.body_rate, car.body_damping)),
         ]
     )
     out = np.full((len(drive.t), 4), np.nan)
@@ -197,37 +201,39 @@ def yaw_damping(car):
 
 
 @njit(cache=True)
-def _rates(r, beta, slip_f, slip_r, u, car, friction):
-    """Rates of yaw rate, beta and both relaxed slips, and ay.
+def _rates(x, u, car, friction, dx):
+    """Write the time derivative of the states `R` to `ROLL_RATE`; gives ay.
 
-    Inputs u: vx, steer, steer_rear, d(vx)/dt, measured yaw rate, ay as the body carries it.
+    Inputs u: vx, steer, steer_rear, d(vx)/dt, measured yaw rate.
     """
-    vx, pull, rolled = u[0], u[3], u[5]
+    r, beta, rolled = x[R], x[BETA], x[ROLL]
+    vx = u[0]
+    steer = u[1] - x[TOE_F] - car.roll_steer_front * rolled
+    rear = u[2] - x[TOE_R] + car.roll_steer_rear * rolled
     sin_b, cos_b = math.sin(beta), math.cos(beta)
     vy = vx * sin_b / cos_b
     wheelbase = car.front + car.rear
-    weight = car.mass * GRAVITY - car.lift * vx * vx
-    drag = car.drag * vx * vx
-    along = car.mass * (pull - vy * r) + drag
+    weight, drag = car.mass * GRAVITY - car.lift * vx * vx, car.drag * vx * vx
+    along = car.mass * (u[3] - vy * r) + drag
     transfer = along * car.cg_height / wheelbase
     load_f, load_r = weight * car.rear / wheelbase - transfer, weight * car.front / wheelbase + transfer
-    roll = 0.5 * car.mass * car.cg_height * rolled
+    # From the left to the right tyre, by springs and dampers of the body (docs/plant.md, section 3).
+    carried = rolled + 2.0 * car.body_damping / car.body_rate * x[ROLL_RATE]
+    roll = 0.5 * car.mass * car.cg_height * carried
     across_f = roll * car.roll_share_front / car.half_track_front
     across_r = roll * (1.0 - car.roll_share_front) / car.half_track_rear
     # What drives the car: inertia, drag, and the front tyres' force against the motion.
-    side_f = 2.0 * car.tyre_front.stiffness * slip_f
-    needed = along + side_f * math.sin(u[1]) + ROLLING_RESISTANCE * weight
+    side_f = 2.0 * car.tyre_front.stiffness * x[SLIP_F]
+    needed = along + side_f * math.sin(steer) + ROLLING_RESISTANCE * weight
     share = car.share_front if needed > 0.0 else car.brake_share_front
     fxf = share * needed - ROLLING_RESISTANCE * load_f
     fxr = (1.0 - share) * needed - ROLLING_RESISTANCE * load_r
     # The inner wheel of an axle travels slower and turns further (docs/plant.md, section 1).
     course_f, course_r = math.atan((vy + car.front * r) / vx), math.atan((vy - car.rear * r) / vx)
-    apart_f = car.half_track_front * (u[1] * u[1] / wheelbase - course_f * r / vx)
+    apart_f = car.half_track_front * (steer * steer / wheelbase - course_f * r / vx)
     apart_r = -car.half_track_rear * course_r * r / vx
-    fyf, uneven = _axle_force(slip_f, apart_f, fxf, load_f, across_f, friction, car.tyre_front)
-    fyr, _ = _axle_force(slip_r, apart_r, fxr, load_r, across_r, friction, car.tyre_rear)
-    steer = u[1] - car.compliance_front * fyf - car.roll_steer_front * rolled
-    rear = u[2] - car.compliance_rear * fyr + car.roll_steer_rear * rolled
+    fyf, uneven = _axle_force(x[SLIP_F], apart_f, fxf, load_f, across_f, friction, car.tyre_front)
+    fyr, _ = _axle_force(x[SLIP_R], apart_r, fxr, load_r, across_r, friction, car.tyre_rear)
     turning, sliding, _, ay = body_rates(
         fxf, fxr, fyf, fyr, vx, r, math.cos(steer), math.sin(steer), math.cos(rear), math.sin(rear),
         cos_b, sin_b, car.mass, car.yaw_inertia, car.front, car.rear,
@@ -235,44 +241,56 @@ def _rates(r, beta, slip_f, slip_r, u, car, friction):
     # The outer front wheel holds the car back more; and the differentials do.
     held = car.half_track_front * uneven * math.sin(steer) + yaw_damping(car) * r
     held += 2.0 * ROLLING_RESISTANCE * (car.half_track_front * across_f + car.half_track_rear * across_r)
-    turning -= held / car.yaw_inertia
-    steady_f, steady_r = math.tan(steer - course_f), math.tan(rear - course_r)
     quick = min(vx / car.relaxation_y, FASTEST)
-    return turning, sliding, quick * (steady_f - slip_f), quick * (steady_r - slip_r), ay
+    dx[R] = turning - held / car.yaw_inertia
+    dx[BETA] = sliding
+    dx[SLIP_F] = quick * (math.tan(steer - course_f) - x[SLIP_F])
+    dx[SLIP_R] = quick * (math.tan(rear - course_r) - x[SLIP_R])
+    dx[TOE_F] = (car.compliance_front * fyf - x[TOE_F]) / TOE_LAG
+    dx[TOE_R] = (car.compliance_rear * fyr - x[TOE_R]) / TOE_LAG
+    dx[ROLL] = x[ROLL_RATE]
+    dx[ROLL_RATE] = car.body_rate * (car.body_rate * (ay - rolled) - 2.0 * car.body_damping * x[ROLL_RATE])
+    return ay
+
+
+@njit(cache=True)
+def _begin(x, u, car):
+    """Write the states of steady cornering at the measured yaw rate."""
+    vx, r = u[0], u[4]
+    side = car.mass * vx * r / (car.front + car.rear)
+    x[R], x[ROLL], x[ROLL_RATE] = r, vx * r, 0.0
+    x[SLIP_F] = 0.5 * side * car.rear / car.tyre_front.stiffness
+    x[SLIP_R] = 0.5 * side * car.front / car.tyre_rear.stiffness
+    x[TOE_F] = car.compliance_front * side * car.rear
+    x[TOE_R] = car.compliance_rear * side * car.front
+    x[BETA] = r * car.rear / vx - x[SLIP_R]
 
 
 @njit(cache=True)
 def _run(inputs, running, car, friction, dt, out):
     """Write yaw rate, beta, ay and yaw acceleration of every running row, by the midpoint rule."""
-    r, beta, slip_f, slip_r, on = 0.0, 0.0, 0.0, 0.0, False
-    h = dt / SUBSTEPS
+    x, middle, dx, on = np.zeros(STATES), np.zeros(STATES), np.zeros(STATES), False
     for k in range(len(running)):
         if not running[k]:
             on = False
             continue
         now = inputs[k]
         if not on:
-            r = now[4]
-            side = car.mass * now[0] * r / (car.front + car.rear)
-            slip_f = side * car.rear / (2.0 * car.tyre_front.stiffness)
-            slip_r = side * car.front / (2.0 * car.tyre_rear.stiffness)
-            beta = r * car.rear / now[0] - slip_r
+            _begin(x, now, car)
             on = True
-        rates = _rates(r, beta, slip_f, slip_r, now, car, friction)
-        out[k, 0], out[k, 1], out[k, 2], out[k, 3] = r, beta, rates[4], rates[0]
+        ay = _rates(x, now, car, friction, dx)
+        out[k, 0], out[k, 1], out[k, 2], out[k, 3] = x[R], x[BETA], ay, dx[R]
         if k + 1 == len(running) or not running[k + 1]:
             continue
-        change = inputs[k + 1] - now
-        for i in range(SUBSTEPS):
-            u = now + (i / SUBSTEPS) * change
-            if i > 0:
-                rates = _rates(r, beta, slip_f, slip_r, u, car, friction)
-            turning = rates[0] + HOLD * (u[4] - r)
-            r_mid, b_mid = r + 0.5 * h * turning, beta + 0.5 * h * rates[1]
-            f_mid, s_mid = slip_f + 0.5 * h * rates[2], slip_r + 0.5 * h * rates[3]
-            u = now + ((i + 0.5) / SUBSTEPS) * change
-            rates = _rates(r_mid, b_mid, f_mid, s_mid, u, car, friction)
-            r = min(max(r + h * (rates[0] + HOLD * (u[4] - r_mid)), -5.0), 5.0)
-            beta = min(max(beta + h * rates[1], -MAX_BETA), MAX_BETA)
-            slip_f = min(max(slip_f + h * rates[2], -MAX_SLIP), MAX_SLIP)
-            slip_r = min(max(slip_r + h * rates[3], -MAX_SLIP), MAX_SLIP)
+        dx[R] += HOLD * (now[4] - x[R])
+        for i in range(STATES):
+            middle[i] = x[i] + 0.5 * dt * dx[i]
+        between = 0.5 * (now + inputs[k + 1])
+        _rates(middle, between, car, friction, dx)
+        dx[R] += HOLD * (between[4] - middle[R])
+        for i in range(STATES):
+            x[i] += dt * dx[i]
+        x[R] = min(max(x[R], -MAX_YAW_RATE), MAX_YAW_RATE)
+        x[BETA] = min(max(x[BETA], -MAX_BETA), MAX_BETA)
+        x[SLIP_F] = min(max(x[SLIP_F], -MAX_SLIP), MAX_SLIP)
+        x[SLIP_R] = min(max(x[SLIP_R], -MAX_SLIP), MAX_SLIP)
