@@ -1,8 +1,11 @@
 """Identification on simulated logs whose truth is known: errors, and how often the intervals hold the truth.
 
-Run with ``python benchmarks/identify_simulated.py [SEEDS]``. The plant of 29 states drives slaloms, sweeps, ramps
-and stops; sensors get known noise, offsets, latencies and a place off the centre of gravity; identification starts
-from a vehicle file with wrong stiffness, ratio, inertia and roll gradient.
+Run with ``python benchmarks/identify_simulated.py [SEEDS] [--same]``. The plant of 29 states drives slaloms, sweeps,
+ramps and stops; sensors get known noise, offsets, latencies and a place off the centre of gravity; identification
+starts from a vehicle file with wrong stiffness, ratio, inertia and roll gradient. The car driven also differs from the
+file in what identification believes or only guesses: tyre curve, relaxation length, load sensitivity, roll stiffness
+split, height and place of the centre of gravity, compliance, lag and friction of steering and differential; with
+``--same`` it does not.
 """
 
 from __future__ import annotations
@@ -57,10 +60,20 @@ class Case:
     truth: dict[str, float]
 
 
-def make_case(seed: int, reference: bool = False, car: str = "generic_compact") -> Case:
-    """Simulate one car's logs with errors drawn for the seed; without `reference` the ground truth is left out."""
+def make_case(seed: int, reference: bool = False, same: bool = False) -> Case:
+    """Simulate one car's logs with errors drawn for the seed.
+
+    Parameters
+    ----------
+    seed : int
+    reference : bool
+        Leave the ground truth in.
+    same : bool
+        The car driven is that of the file in all that is not sought.
+    """
     rng = np.random.Generator(np.random.SFC64([seed, 5]))
-    true = load_vehicle(car)
+    file = load_vehicle("generic_compact")
+    true = file if same else _another(file, np.random.Generator(np.random.SFC64([seed, 6])))
     faults = _faults(rng, true)
     logs = []
     for number, (manoeuvre, duration) in enumerate(EXCITED):
@@ -87,7 +100,44 @@ def make_case(seed: int, reference: bool = False, car: str = "generic_compact") 
         "yaw_delay": lag + faults.latency["yaw_rate"],
         "ay_delay": lag + faults.latency["ay"],
     }
-    return Case(logs, true.model_copy(update=changes), truth)
+    return Case(logs, file.model_copy(update=changes), truth)
+
+
+def _another(file: Vehicle, rng: np.random.Generator) -> Vehicle:
+    """A car that differs from its file in what no user measures; uniform to either side."""
+
+    def by(share: float) -> float:
+        return float(np.exp(share * rng.uniform(-1.0, 1.0)))
+
+    tyre = file.tyre.model_copy(
+        update={
+            "shape": file.tyre.shape + 0.1 * rng.uniform(-1.0, 1.0),
+            "curvature": file.tyre.curvature + 0.5 * rng.uniform(-1.0, 1.0),
+            "relaxation_length": file.tyre.relaxation_length * by(0.25),
+            "load_sensitivity": file.tyre.load_sensitivity * by(0.7),
+            "stiffness_peak_load": file.tyre.stiffness_peak_load * by(0.4),
+        }
+    )
+    plant = file.plant.model_copy(
+        update={
+            "roll_share_front": file.plant.roll_share_front + 0.07 * rng.uniform(-1.0, 1.0),
+            "body_frequency": file.plant.body_frequency * by(0.2),
+            "compliance_front": file.plant.compliance_front * by(0.7),
+            "steer_lag": file.plant.steer_lag * by(0.5),
+            "steer_free_play": 0.001 * rng.uniform(),
+            "differential_lock": file.plant.differential_lock * by(0.7),
+        }
+    )
+    back = 0.02 * rng.uniform(-1.0, 1.0)
+    return file.model_copy(
+        update={
+            "cg_height": file.cg_height * by(0.05),
+            "cg_to_front_axle": file.cg_to_front_axle + back,
+            "cg_to_rear_axle": file.cg_to_rear_axle - back,
+            "tyre": tyre,
+            "plant": plant,
+        }
+    )
 
 
 def _faults(rng: np.random.Generator, true: Vehicle) -> SensorFaults:
