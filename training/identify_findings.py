@@ -8,7 +8,7 @@ import numpy as np
 
 from crosscomb.models.vehicle import Vehicle
 from crosscomb.signals import GRAVITY
-from crosscomb.training.identify_parameters import CAR, IN_VEHICLE, LOG, Fit, before_value
+from crosscomb.training.identify_parameters import CAR, IN_VEHICLE, LOG, NUISANCES, Fit, before_value
 from crosscomb.training.identify_tyres import AxleCurve
 
 Z95 = 1.96
@@ -106,6 +106,8 @@ def handling_findings(vehicle: Vehicle, found: Fit, ratio_open: bool) -> dict[st
     """Every finding of the joint fit."""
     findings = {}
     for one in CAR:
+        if one.name in NUISANCES:
+            continue
         start = before_value(vehicle, one.name)
         if one.name in found.car_std:
             value = found.car[one.name]

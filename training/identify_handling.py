@@ -38,7 +38,6 @@ LINEAR_AY = 4.0
 TIGHT_BEND = 0.12
 """Road-wheel angle [rad] that the bend asks for, above which errors count as larger by the square of the excess: there
 the geometry of the steering errs, and the speed that wheels at an angle tell."""
-RATE_ROWS = int(RATE)
 STRAIGHT_AY = 0.7
 STRAIGHT_ERROR = 4.0
 """In straight driving, below this ay [m/s^2] for two seconds, errors count as so much larger: there the play and
@@ -56,7 +55,7 @@ class _Runner:
         straight = maximum_filter1d(np.abs(drive.ay), int(2.0 * RATE)) < STRAIGHT_AY
         near_limit = np.maximum(1.0, (drive.ay / LINEAR_AY) ** 2)
         bend = np.abs(vehicle.wheelbase * drive.yaw_rate / drive.vx)
-        tight = np.maximum(1.0, (maximum_filter1d(bend, RATE_ROWS) / TIGHT_BEND) ** 2)
+        tight = np.maximum(1.0, (maximum_filter1d(bend, int(RATE)) / TIGHT_BEND) ** 2)
         self.unsure = np.where(straight, STRAIGHT_ERROR, near_limit * tight)
         self.kept: dict[tuple, Motion] = {}
 
