@@ -4,8 +4,8 @@ Run with ``python benchmarks/identify_simulated.py [SEEDS] [--another]``. The pl
 ramps and stops; sensors get known noise, offsets, latencies and a place off the centre of gravity; identification
 starts from a vehicle file with wrong stiffness, ratio, inertia and roll gradient. With ``--another`` the car driven
 differs from the file also in what identification believes or only guesses: tyre curve, relaxation length, load
-sensitivity, roll stiffness split, body frequency, height and place of the centre of gravity, compliance, lag and play of
-the steering, friction of the differential.
+sensitivity, roll stiffness split, body frequency, height and place of the centre of gravity, compliance, lag and
+play of the steering, friction of the differential.
 """
 
 from __future__ import annotations
@@ -171,7 +171,12 @@ def main() -> None:
             one = findings[name]
             value = one.after if one.taken else 0.5 * (one.low + one.high)
             size = true if name in RELATIVE else 1.0
-            row = ((value - true) / size, one.low <= true <= one.high, 0.5 * (one.high - one.low) / size, one.taken)
+            row = (
+                (value - true) / size,
+                one.low <= true <= one.high,
+                0.5 * (one.high - one.low) / size,
+                one.taken,
+            )
             errors.setdefault(name, []).append(row)
     print(
         f"{'parameter':28s} {'taken':>6s} {'mean':>9s} {'largest':>9s} {'bar':>7s} {'in bar':>7s} {'covered':>8s} "

@@ -33,7 +33,7 @@ STALE = 1.0
 REVERSE_SPEED = -0.3
 """Below this vx [m/s] the car reverses; speed sensors at rest read a little on either side of 0."""
 
-OUTPUTS = (".estimate.csv", ".estimate.png", ".run.json")
+OUTPUTS = (".estimate.csv", ".estimate.png", ".traces.png", ".run.json")
 """Endings of what is written for a log."""
 
 GENERIC = "generic_compact"
@@ -56,6 +56,8 @@ class FilterRun:
     inputs : Inputs
         What the filters saw.
     vehicle : Vehicle
+    extras : tuple of dict
+        Further answers ``(n,)`` of each filter, by name and unit.
     """
 
     segment: Segment
@@ -65,6 +67,7 @@ class FilterRun:
     features: np.ndarray
     inputs: Inputs
     vehicle: Vehicle
+    extras: tuple[dict[str, np.ndarray], ...]
 
     def answer(self, artefact: Artefact) -> Answer:
         """Let the artefact's selector make one answer of its filters."""
@@ -82,7 +85,11 @@ class FilterRun:
         """Keep some of the filters, in the order given."""
         chosen = list(members)
         return replace(
-            self, beta=self.beta[:, chosen], beta_std=self.beta_std[:, chosen], nis=self.nis[:, chosen]
+            self,
+            beta=self.beta[:, chosen],
+            beta_std=self.beta_std[:, chosen],
+            nis=self.nis[:, chosen],
+            extras=tuple(self.extras[i] for i in chosen),
         )
 
 
@@ -101,6 +108,8 @@ class LogEstimate:
         ``ok``, or words joined by ``+``.
     filters : dict of str to (n,) [rad]
         beta of each filter.
+    extras : dict of str to dict
+        Of each filter that has any, further answers ``(n,)`` such as adapted tyre parameters, by name and unit.
     """
 
     signals: Signals
@@ -109,6 +118,7 @@ class LogEstimate:
     active: np.ndarray
     status: np.ndarray
     filters: dict[str, np.ndarray]
+    extras: dict[str, dict[str, np.ndarray]]
 
     def table(self) -> pd.DataFrame:
         """Columns of the estimate file: t, beta, beta_std, active, status and beta of each filter."""
@@ -146,6 +156,7 @@ def run_filters(
                 ),
                 inputs=inputs,
                 vehicle=vehicle,
+                extras=tuple(estimate.extra for estimate in estimates),
             )
         )
     return runs
@@ -205,7 +216,7 @@ def estimate_log(
         signals = replace(signals, notes=(*signals.notes, f"{names[0]} is the answer: the selector needs all of "
                                           f"{', '.join(artefact.filter_names)}"))  # fmt: skip
     runs = run_filters(signals, vehicle, made, artefact.rate, artefact.window)
-    parts = []
+    parts, further = [], []
     for run in runs:
         if switched:
             answer = run.only(members).answer(artefact)
@@ -219,9 +230,15 @@ def estimate_log(
         parts.append(
             (answer.beta[at], answer.beta_std[at], np.array(names)[active[at]], status[at], run.beta[at])
         )
+        further.append([{key: values[at] for key, values in extra.items()} for extra in run.extras])
     beta, beta_std, active, status, each = (np.concatenate(column) for column in zip(*parts, strict=True))
     betas = {name: each[:, i] for i, name in enumerate(names)}
-    return LogEstimate(signals, beta, beta_std, active, status, betas)
+    extras = {
+        name: {key: np.concatenate([part[key] for part in own]) for key in own[0]}
+        for name, own in zip(names, zip(*further, strict=True), strict=True)
+        if own[0]
+    }
+    return LogEstimate(signals, beta, beta_std, active, status, betas, extras)
 
 
 def _status(signals: Signals, outside: np.ndarray, rate: float) -> np.ndarray:

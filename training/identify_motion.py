@@ -1,4 +1,4 @@
-"""A single track with both tyres of each axle, driven by a log's steering and speed: what its sensors should have shown.
+"""A single track with both tyres of each axle, driven by a log's steering and speed: what sensors should have shown.
 
 Unlike the filters' single track it knows what the simulation plant knows below the limit: load transfer across the
 car and tyres that give less under it, compliance of the steering, the drive that keeps the speed, the relaxation of the

@@ -51,8 +51,11 @@ CAR = (
     Sought("differential_lock", 3.0, step=0.3),
 )
 NUISANCES = {
-    "relaxation_length": "tyre", "stiffness_peak_load": "tyre", "roll_share_front": "plant", "differential_lock": "plant",
-}  # fmt: skip
+    "relaxation_length": "tyre",
+    "stiffness_peak_load": "tyre",
+    "roll_share_front": "plant",
+    "differential_lock": "plant",
+}
 """What is only sought so that nothing else stands in for it, with the table of the vehicle file that guesses it."""
 LOG = (
     Sought("steer_offset", 0.03, step=1e-4),
@@ -138,7 +141,9 @@ def tyre_car(vehicle: Vehicle, car: dict[str, float]) -> PlantParameters:
     Unlike in the plant, stiffness does not fall with the friction of the road: that on these roads is sought.
     """
     b = car["cg_to_rear_axle"]
-    given = {name: car[name] for name in ("yaw_inertia", "cornering_stiffness_front", "cornering_stiffness_rear")}
+    given = {
+        name: car[name] for name in ("yaw_inertia", "cornering_stiffness_front", "cornering_stiffness_rear")
+    }
     moved = {"cg_to_front_axle": vehicle.wheelbase - b, "cg_to_rear_axle": b}
     inner = {
         table: getattr(vehicle, table).model_copy(
