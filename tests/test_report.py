@@ -27,6 +27,7 @@ from crosscomb.report import (
 )
 from crosscomb.results import TITLE, markdown_table, score_rows, write_section
 from crosscomb.signals import make_signals
+from crosscomb.trace_view import plot_traces, trace_figure
 from crosscomb.training.train import Training, train
 
 NAMES = ["kinematic_kf", "dynamic_ekf", "random_walk_pf"]
@@ -152,6 +153,22 @@ def test_the_picture_shows_beta_every_filter_and_the_reference(simulated, car, t
     plot_estimate(estimate, tmp_path / "b.png", "log")
     assert pixels((tmp_path / "a.png").read_bytes())[0] > 800
     assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
+
+
+def test_traces_show_what_adaptive_filters_adapt(simulated, car, tmp_path):
+    adaptive = ["lint_ekf", "friction_adaptive_ekf"]
+    estimate = estimate_log(simulated[2], car, load_artefact(), [*NAMES, *adaptive])
+    assert list(estimate.extras) == adaptive
+    stiffness = estimate.extras["lint_ekf"]["cornering_stiffness_front [N/rad]"]
+    assert stiffness.shape == estimate.beta.shape
+    assert stiffness[0] == pytest.approx(car.cornering_stiffness_front)
+    lines = lines_of(trace_figure(estimate, car, "log"))
+    np.testing.assert_array_equal(lines["lint_ekf"], stiffness)
+    assert lines["vehicle file"][0] == car.cornering_stiffness_front
+    plot_traces(estimate, car, tmp_path / "a.png", "log")
+    assert pixels((tmp_path / "a.png").read_bytes())[0] > 800
+    plot_traces(estimate_log(simulated[2], car, load_artefact()), car, tmp_path / "none.png", "log")
+    assert not (tmp_path / "none.png").exists()
 
 
 @pytest.mark.parametrize("change", [{"vx": 0.0}, {"ay": np.nan}, {"vx": np.nan}], ids=str)
