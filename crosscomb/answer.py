@@ -48,7 +48,7 @@ class Selection:
     switch: SwitchState
     memory: Memory
     shares: np.ndarray  # (filters,)
-    correction: CorrectionState
+    correction: CorrectionState | None
 
     @property
     def dt(self) -> float:
@@ -67,7 +67,7 @@ def start_selection(artefact: Artefact, vehicle: Vehicle) -> Selection:
         switch=make_switch_state(filters, first, switch_times(artefact.switch, 1.0 / artefact.rate)),
         memory=memory,
         shares=np.full(filters, -1.0),
-        correction=make_correction_state(memory.means.size),
+        correction=make_correction_state(artefact.correction) if artefact.correction else None,
     )
 
 
@@ -108,7 +108,7 @@ def select(
     else:
         answer, std, active = switch(beta, beta_std, decision, artefact.switch, dt, selection.switch)
     std = artefact.trust.widen(std, beta)
-    if artefact.correction is not None:
+    if artefact.correction is not None and selection.correction is not None:
         anchor = artefact.filter_names.index(artefact.correction.anchor)
         answer, std, weight = correct(
             artefact.correction, selection.correction, features, beta[:, anchor], answer, std, dt

@@ -21,7 +21,7 @@ from crosscomb.selector import Tree
 from crosscomb.switch import SwitchSettings
 from crosscomb.windows import WindowSettings
 
-SCHEMA_VERSION = 2
+SCHEMA_VERSION = 3
 
 
 class FilterSettings(BaseModel):

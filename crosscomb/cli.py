@@ -15,6 +15,7 @@ from crosscomb.cli_options import (
     FiltersOption,
     JobsOption,
     MapOption,
+    PointOption,
     SeedOption,
     SelectorFileOption,
     TunedOption,
@@ -22,6 +23,7 @@ from crosscomb.cli_options import (
 )
 from crosscomb.cli_options import existing_files as _existing
 from crosscomb.cli_options import filter_names as _names
+from crosscomb.cli_options import place as _place
 from crosscomb.cli_tune import tune
 from crosscomb.errors import UsageError
 
@@ -262,17 +264,22 @@ def estimate(
     ] = False,
     filters: FiltersOption = None,
     tuned: TunedOption = None,
+    point: PointOption = None,
+    handling: Annotated[
+        bool, typer.Option("--handling", help="Also write slip angles, understeer and oversteer.")
+    ] = False,
 ) -> None:
     """Estimate the sideslip angle of logs; with ground truth in them, also score it."""
     from crosscomb import terminal
     from crosscomb.artefact import load_artefact
     from crosscomb.channel_map import load_map
-    from crosscomb.estimate import estimate_log, name_filters, open_logs, write_estimate
+    from crosscomb.drive import name_filters
+    from crosscomb.estimate import estimate_log, open_logs, write_estimate, write_table
     from crosscomb.files import run_record, write_json
     from crosscomb.training.metrics import score_log
     from crosscomb.tuned import load_tuned, require_used
 
-    artefact = load_artefact(selector_file)
+    artefact, spot = load_artefact(selector_file), _place(point)
     names = _names(filters)
     name_filters(names, artefact)
     given = load_tuned(tuned) if tuned else None
@@ -282,26 +289,33 @@ def estimate(
         opened = open_logs(logs, artefact, vehicle, signs, output, advance)
     for warning in (warning for log in opened for warning in log.warnings):
         terminal.warn(warning)
-    scores, notes = {}, []
+    scores, shares, notes = {}, {}, []
     with terminal.progress("estimating", len(opened)) as advance:
         for log in opened:
             result = estimate_log(log.signals, log.vehicle, artefact, names or None, given)
             name = log.signals.name
             write_estimate(result, output / f"{name}.estimate.csv")
+            if spot is not None:
+                write_table(result.point_table(*spot), output / f"{name}.point.csv")
+            if handling:
+                write_table(result.handling_table(), output / f"{name}.handling.csv")
+            shares[name] = result.handling_shares()
             settings = {
                 "artefact": str(selector_file or "shipped"), "vehicle": log.vehicle.model_dump(),
                 "vehicle_from": log.origin, "filters": list(result.filters), "notes": list(result.signals.notes),
-                "tuned": str(tuned) if tuned else None,
+                "tuned": str(tuned) if tuned else None, "point": spot,
             }  # fmt: skip
             inputs = [log.path, *_existing(selector_file, channel_map, tuned, log.origin)]
             write_json(output / f"{name}.run.json", run_record("estimate", settings, inputs))
             if plot:
                 from crosscomb.report import plot_estimate
+                from crosscomb.stream import make_plan
                 from crosscomb.trace_view import plot_traces
 
                 title = f"{name}, {log.vehicle.name}"
                 plot_estimate(result, output / f"{name}.estimate.png", title)
-                plot_traces(result, log.vehicle, output / f"{name}.traces.png", title)
+                plan = make_plan(log.vehicle, artefact, names or None, given)
+                plot_traces(plan, result.signals, output / f"{name}.traces.png", title)
             notes += [f"{name}: {note}" for note in result.signals.notes]
             if result.signals.has_reference:
                 scores[name] = score_log(result)
@@ -312,6 +326,8 @@ def estimate(
         terminal.say(note)
     if scores:
         terminal.show_log_scores(scores)
+    for name, share in shares.items():
+        terminal.say(f"{name}: {terminal.shares_text(share)} of the time above walking speed")
     terminal.say(f"{output}: {len(opened)} estimates written")
 
 
@@ -364,7 +380,7 @@ def benchmark(
     """Print accuracy and speed of all estimators."""
     from crosscomb import terminal
     from crosscomb.artefact import load_artefact
-    from crosscomb.estimate import name_filters
+    from crosscomb.drive import name_filters
     from crosscomb.results import write_benchmark, write_papers
     from crosscomb.training import benchmark as suites
     from crosscomb.training.recordings import find_places

@@ -25,6 +25,13 @@ FiltersOption = Annotated[
 TunedOption = Annotated[
     Path | None, typer.Option("--tuned", help="Noise settings from `crosscomb tune`, for the filters in it.")
 ]
+PointOption = Annotated[
+    str | None,
+    typer.Option(
+        "--point",
+        help="X or X,Y: also write vx, vy and beta of this point, ahead and left of the centre of gravity [m].",
+    ),
+]
 SeedOption = Annotated[
     int, typer.Option("--seed", min=0, help="The same seed gives the same result bit for bit.")
 ]
@@ -43,6 +50,24 @@ def filter_names(filters: str | None) -> list[str]:
     if not names:
         raise UsageError("--filters: names no estimator: `crosscomb filters` lists them")
     return names
+
+
+FARTHEST = 50.0
+"""Coordinates of a point beyond this [m] are no longer those of a road vehicle."""
+
+
+def place(point: str | None) -> tuple[float, float] | None:
+    """Read the coordinates in a --point option; the lateral one may be left out."""
+    if point is None:
+        return None
+    try:
+        numbers = [float(number) for number in point.split(",")]
+        x, y = [*numbers, 0.0] if len(numbers) == 1 else numbers
+    except ValueError:
+        raise UsageError(f"--point {point}: give X or X,Y in metres, such as 1.2 or -1.4,0.5") from None
+    if not max(abs(x), abs(y)) <= FARTHEST:
+        raise UsageError(f"--point {point}: lies outside the car: give metres from the centre of gravity")
+    return x, y
 
 
 def existing_files(*paths: str | Path | None) -> list[Path]:

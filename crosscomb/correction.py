@@ -14,27 +14,32 @@ import numpy as np
 from numba import njit
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from crosscomb.boosted import Boosted, Finite, Grove, boosted_at
+from crosscomb.boosted import Finite
+from crosscomb.network import Network, Scratch, Weights, make_scratch, network_at
 
 FADE = 0.25
 """Beyond the training range by this share of it, nothing is left of the correction."""
 
 
+LEAST_DOUBT, MOST_DOUBT = math.log(math.radians(0.05)), math.log(math.radians(30.0))
+"""Logarithm of the least and largest standard deviation [rad] that the networks may foretell."""
+
+
 class Correction(BaseModel):
-    """Trees that correct one filter, and trees that say how far off the corrected answer is.
+    """Networks that correct one filter, and one that says how far off the corrected answer is.
 
     Attributes
     ----------
     anchor : str
         Filter that is corrected: the best single one in training.
-    trees : Boosted
+    network : Network
         Truth less anchor [rad].
-    doubt : Boosted
+    doubt : Network
         Logarithm of the standard deviation [rad] of what is left.
     bound : float
         Largest correction [rad].
     lag : float
-        Time constant that smooths the steps of the trees [s].
+        Time constant that smooths the correction and its fading [s].
     odd : list of bool
         Features that change sign in a mirrored drive.
     lowest, highest : list of float
@@ -44,10 +49,10 @@ class Correction(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     anchor: str
-    trees: Boosted
-    doubt: Boosted
+    network: Network
+    doubt: Network
     bound: float = Field(gt=0.0, le=1.5)
-    lag: float = Field(default=0.05, ge=0.0, le=1.0)
+    lag: float = Field(default=0.02, ge=0.0, le=1.0)
     odd: list[bool]
     lowest: list[Finite]
     highest: list[Finite]
@@ -56,10 +61,8 @@ class Correction(BaseModel):
     def _sound(self) -> Correction:
         if not len(self.odd) == len(self.lowest) == len(self.highest):
             raise ValueError("the feature ranges of the correction are of uneven length")
-        if max(self.trees.n_features, self.doubt.n_features) > len(self.odd):
+        if max(self.network.n_features, self.doubt.n_features) > len(self.odd):
             raise ValueError("the correction asks for more features than it has ranges of")
-        if len(self.trees.baseline) != 1 or len(self.doubt.baseline) != 1:
-            raise ValueError("the trees of the correction must have one output")
         return self
 
     @cached_property
@@ -67,8 +70,8 @@ class Correction(BaseModel):
         """The correction as kernels take it."""
         lowest, highest = np.array(self.lowest), np.array(self.highest)
         return CorrectionKernel(
-            self.trees.grove,
-            self.doubt.grove,
+            self.network.weights,
+            self.doubt.weights,
             self.bound,
             np.where(np.array(self.odd), -1.0, 1.0).astype(np.float32),
             lowest,
@@ -80,8 +83,8 @@ class Correction(BaseModel):
 class CorrectionKernel(NamedTuple):
     """What the kernel needs of a `Correction`."""
 
-    trees: Grove
-    doubt: Grove
+    network: Weights
+    doubt: Weights
     bound: float
     signs: np.ndarray  # (features,) float32
     lowest: np.ndarray  # (features,)
@@ -90,23 +93,29 @@ class CorrectionKernel(NamedTuple):
 
 
 class CorrectionState(NamedTuple):
-    """Smoothed correction and weight, changed in place."""
+    """Smoothed correction and weight, changed in place, and room for the networks."""
 
     values: np.ndarray  # (3,) correction [rad], weight, 1 after the first sample
-    mirrored: np.ndarray  # (features,) float32, scratch
-    out: np.ndarray  # (1,), scratch
+    mirrored: np.ndarray  # (features,) float32
+    network: Scratch
+    doubt: Scratch
 
 
-def make_correction_state(features: int) -> CorrectionState:
+def make_correction_state(correction: Correction) -> CorrectionState:
     """Make the state before the first sample."""
-    return CorrectionState(np.zeros(3), np.zeros(features, dtype=np.float32), np.zeros(1))
+    return CorrectionState(
+        np.zeros(3),
+        np.zeros(len(correction.odd), dtype=np.float32),
+        make_scratch(correction.network.weights),
+        make_scratch(correction.doubt.weights),
+    )
 
 
 @njit(cache=True)
-def inside_weight(features, lowest, highest, slack):
+def inside_weight(features, columns, lowest, highest, slack):
     """Weight of what was learned: 1 inside the training range, 0 from `FADE` of it outside."""
     most = 0.0
-    for i in range(lowest.size):
+    for i in columns:
         beyond = max(lowest[i] - features[i], features[i] - highest[i]) / slack[i]
         most = max(most, beyond)
     return max(1.0 - most, 0.0)
@@ -126,18 +135,15 @@ def correction_at(model, state, features, gain, answer):
         Share of the new sample in the smoothed correction and weight.
     answer : (3,)
     """
-    values, mirrored, out = state.values, state.mirrored, state.out
+    values, mirrored = state.values, state.mirrored
     for i in range(mirrored.size):
         mirrored[i] = features[i] * model.signs[i]
-    boosted_at(model.trees, features, out)
-    correction = out[0]
-    boosted_at(model.trees, mirrored, out)
-    correction = min(max(0.5 * (correction - out[0]), -model.bound), model.bound)
-    boosted_at(model.doubt, features, out)
-    doubt = out[0]
-    boosted_at(model.doubt, mirrored, out)
-    doubt = 0.5 * (doubt + out[0])
-    weight = inside_weight(features, model.lowest, model.highest, model.slack)
+    correction = network_at(model.network, state.network, features)
+    correction -= network_at(model.network, state.network, mirrored)
+    correction = min(max(0.5 * correction, -model.bound), model.bound)
+    doubt = network_at(model.doubt, state.doubt, features) + network_at(model.doubt, state.doubt, mirrored)
+    doubt = min(max(0.5 * doubt, LEAST_DOUBT), MOST_DOUBT)
+    weight = inside_weight(features, model.network.columns, model.lowest, model.highest, model.slack)
     share = gain if values[2] == 1.0 else 1.0
     values[0] += share * (correction - values[0])
     values[1] += share * (weight - values[1])

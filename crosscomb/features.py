@@ -23,8 +23,14 @@ from crosscomb.signals import MIN_SPEED
 MEMORIES = (0.0, 0.1, 0.4, 1.5, 5.0)
 """Time constants of the means [s]; 0 is the sample itself."""
 
+DIFFERENTIATION = 0.05
+"""Time over which the yaw acceleration is the change of the yaw rate [s]."""
+
 MOST_NIS = 100.0
 """A larger normalised innovation says no more than this one."""
+
+STEADY_SLIP = "steady slip of the linear rear tyre [rad]"
+SPREAD = "spread of beta [rad]"
 
 ODD = (
     "ay [m/s^2]",
@@ -33,7 +39,8 @@ ODD = (
     "steer vx / wheelbase - yaw_rate [rad/s]",
     "ay / vx - yaw_rate [rad/s]",
     "yaw rate of the rear wheels - yaw_rate [rad/s]",
-    "steady slip of the linear rear tyre [rad]",
+    STEADY_SLIP,
+    "yaw acceleration [rad/s^2]",
 )
 EVEN = (
     "vx [m/s]",
@@ -45,22 +52,50 @@ EVEN = (
     "ay yaw_rate [m rad/s^3]",
     "ay steer [m rad/s^2]",
     "ay mean beta [m rad/s^2]",
-    "spread of beta [rad]",
+    SPREAD,
 )
+BETAS = len(ODD) + len(EVEN)
+"""Channel of the first filter's beta."""
 
 
 class Layout(NamedTuple):
-    """Where the channels stand: of the signals, then beta, NIS and beta_std of each filter."""
+    """Where the features stand: memory by memory the channels of the signals, then beta, NIS and beta_std of filters.
+
+    Attributes
+    ----------
+    names : tuple of str
+    odd : (f,) bool
+        Features that change sign in a mirrored drive.
+    plain : (f,) bool
+        Features of the drive and of the filters' beta; the others are what filters say of themselves.
+    slip : (f,) bool
+        Features that are sideslip angles.
+    """
 
     names: tuple[str, ...]
-    odd: np.ndarray  # (channels,) bool
+    odd: np.ndarray
+    plain: np.ndarray
+    slip: np.ndarray
+
+    def relative_to(self, anchor: int) -> np.ndarray:
+        """The anchor's beta at the memory of each other sideslip angle ``(f,) int``; -1 for what is none.
+
+        Parameters
+        ----------
+        anchor : int
+            Index of a filter.
+        """
+        channels = len(self.names) // len(MEMORIES)
+        anchors = np.arange(len(self.names)) // channels * channels + BETAS + anchor
+        others = self.slip & (np.arange(len(self.names)) != anchors)
+        return np.where(others, anchors, -1)
 
 
 class Memory(NamedTuple):
     """State of the features of one drive, changed in place by the kernel."""
 
     means: np.ndarray  # (memories, channels)
-    held: np.ndarray  # (4,) last ay, yaw_rate, ax, and 1 after the first sample
+    held: np.ndarray  # (5,) last ay, yaw_rate, ax, 1 after the first sample, yaw_rate a moment ago
 
 
 class FeatureCar(NamedTuple):
@@ -84,15 +119,19 @@ def layout(filters: list[str]) -> Layout:
         *ODD, *EVEN, *(f"beta {name} [rad]" for name in filters), *(f"NIS {name}" for name in filters),
         *(f"beta_std {name} [rad]" for name in filters),
     )  # fmt: skip
-    odd = np.zeros(len(channels), dtype=bool)
+    odd, plain, slip = np.zeros((3, len(channels)), dtype=bool)
     odd[: len(ODD)] = True
-    odd[len(ODD) + len(EVEN) : len(ODD) + len(EVEN) + len(filters)] = True
+    odd[BETAS : BETAS + len(filters)] = True
+    plain[: BETAS + len(filters)] = True
+    plain[channels.index(SPREAD)] = False
+    slip[ODD.index(STEADY_SLIP)] = True
+    slip[BETAS : BETAS + len(filters)] = True
     names = (
         channel if memory == 0.0 else f"mean({channel}, {memory} s)"
         for memory in MEMORIES
         for channel in channels
     )
-    return Layout(tuple(names), np.tile(odd, len(MEMORIES)))
+    return Layout(tuple(names), *(np.tile(which, len(MEMORIES)) for which in (odd, plain, slip)))
 
 
 def feature_car(vehicle: Vehicle) -> FeatureCar:
@@ -108,8 +147,8 @@ def feature_car(vehicle: Vehicle) -> FeatureCar:
 
 def make_memory(n_filters: int) -> Memory:
     """Make the state before the first sample."""
-    channels = len(ODD) + len(EVEN) + 3 * n_filters
-    return Memory(np.zeros((len(MEMORIES), channels)), np.zeros(4))
+    channels = BETAS + 3 * n_filters
+    return Memory(np.zeros((len(MEMORIES), channels)), np.zeros(5))
 
 
 @njit(cache=True)
@@ -133,7 +172,7 @@ def _rear_wheels(sample, yaw_rate, speed, track_rear):
 
 
 @njit(cache=True)
-def _channels(held, sample, beta, beta_std, nis, car, out):
+def _channels(held, sample, beta, beta_std, nis, car, lead, out):
     """Write the channels of one sample."""
     ay, yaw_rate = _hold(sample[AY], held, 0), _hold(sample[YAW_RATE], held, 1)
     ax, speed, steer = _hold(sample[AX], held, 2), max(sample[VX], MIN_SPEED), sample[STEER]
@@ -142,19 +181,25 @@ def _channels(held, sample, beta, beta_std, nis, car, out):
     filters = beta.size
     mean, least, largest = 0.0, math.inf, -math.inf
     for i in range(filters):
-        mean += beta[i] / filters
-        least, largest = min(least, beta[i]), max(largest, beta[i])
+        if math.isfinite(beta[i]):  # else it stays what it was
+            out[BETAS + i] = beta[i]
+        mean += out[BETAS + i] / filters
+        least, largest = min(least, out[BETAS + i]), max(largest, out[BETAS + i])
     out[0], out[1], out[2] = ay, yaw_rate, steer
     out[3] = (steer - sample[STEER_REAR]) * speed / car.wheelbase - yaw_rate
     out[4], out[5] = slip_rate, wheels_turn
     out[6] = sample[STEER_REAR] + car.b * yaw_rate / speed - car.rear_slip * ay
-    out[7], out[8], out[9], out[10] = sample[VX], ax, abs(ay), abs(yaw_rate)
-    out[11], out[12] = abs(slip_rate), wheels_slip
-    out[13], out[14], out[15], out[16] = ay * yaw_rate, ay * steer, ay * mean, largest - least
+    if held[3] == 0.0:
+        held[4] = yaw_rate
+    held[4] += lead * (yaw_rate - held[4])
+    out[7] = (yaw_rate - held[4]) / DIFFERENTIATION
+    out[8], out[9], out[10], out[11] = sample[VX], ax, abs(ay), abs(yaw_rate)
+    out[12], out[13] = abs(slip_rate), wheels_slip
+    out[14], out[15], out[16], out[17] = ay * yaw_rate, ay * steer, ay * mean, largest - least
     for i in range(filters):
-        out[17 + i] = beta[i]
-        out[17 + filters + i] = min(nis[i], MOST_NIS) if math.isfinite(nis[i]) else 1.0
-        out[17 + 2 * filters + i] = beta_std[i]
+        out[BETAS + filters + i] = min(nis[i], MOST_NIS) if math.isfinite(nis[i]) else 1.0
+        if math.isfinite(beta_std[i]):
+            out[BETAS + 2 * filters + i] = beta_std[i]
 
 
 @njit(cache=True)
@@ -169,13 +214,13 @@ def features_step(memory, sample, beta, beta_std, nis, car, gains, out):
         As in `crosscomb.filters.base.Inputs`.
     beta, beta_std, nis : (filters,) [rad], [rad], [-]
     car : FeatureCar
-    gains : (memories,)
-        Share of the new sample in each mean.
+    gains : (memories + 1,)
+        Share of the new sample in each mean, and in the yaw rate that its change is counted from.
     out : (features,) float32
     """
     means = memory.means
-    _channels(memory.held, sample, beta, beta_std, nis, car, means[0])
     levels, channels = means.shape
+    _channels(memory.held, sample, beta, beta_std, nis, car, gains[levels], means[0])
     fresh = memory.held[3] == 0.0
     memory.held[3] = 1.0
     for level in range(levels):
@@ -192,8 +237,9 @@ def _features_run(memory, samples, beta, beta_std, nis, car, gains, out):
 
 
 def memory_gains(dt: float) -> np.ndarray:
-    """Share of a new sample in each mean, for samples dt [s] apart ``(memories,)``."""
-    return np.array([1.0 if memory == 0.0 else -math.expm1(-dt / memory) for memory in MEMORIES])
+    """Share of a new sample in each mean and in the yaw rate a moment ago, for samples dt [s] apart."""
+    times = (*MEMORIES, DIFFERENTIATION)
+    return np.array([1.0 if time == 0.0 else -math.expm1(-dt / time) for time in times])
 
 
 def all_features(

@@ -24,6 +24,9 @@ LIMITS = {"vx": 120.0, "vx_ref": 120.0, "yaw_rate": 10.0, "steer": 1.5, "steer_w
 BETA_LIMIT = 3.2
 """Even in a spin [rad]."""
 
+FRICTION_SLACK = 1.1
+"""Lateral acceleration may be this much above what the vehicle file's friction allows before that is said."""
+
 _DEGREE = np.pi / 180.0
 _WIDE = (0.15, 6.0)  # for ties that are too loose to judge more than degrees and sign
 
@@ -57,6 +60,8 @@ def check_units(signals: Signals, vehicle: Vehicle) -> list[Finding]:
     in_degrees, reversed_ = unit_fault("beta_ref", "deg", _DEGREE), sign_fault("beta_ref", sure=False)
     reference_sets = explain(reference_ties, [(in_degrees,), (reversed_,)])
     findings = [*findings_of(sets, ties), *findings_of(reference_sets, reference_ties)]
+    if table and not findings:
+        findings = _friction_bound(table, vehicle)
     return sorted([*findings, *check_coverage(signals)], key=lambda finding: finding.severity)
 
 
@@ -113,6 +118,23 @@ def _limit_ties(signals: Signals, limits: dict[str, float]) -> list[Tie]:
             text = f"{name} reaches {reach:.3g} {UNITS[name]}"
             ties.append(Tie(text, {name: 1}, reach / limit, possible=(0.0, 1.0), likely=(0.0, 1.0)))
     return ties
+
+
+def _friction_bound(table: dict[str, np.ndarray], vehicle: Vehicle) -> list[Finding]:
+    """Hold the log against |ay| = |yaw_rate vx| <= friction g (Atheupe 2023, eq. 30).
+
+    Both sides count: in a spin the yaw rate, on a bank ay is large without force from the road.
+    """
+    force = np.fmin(np.abs(table["ay"]), np.abs(table["speed"] * table["yaw_rate"]))
+    known = np.isfinite(force)
+    reach = float(np.quantile(force[known], 0.99)) if known.any() else 0.0
+    if reach <= FRICTION_SLACK * vehicle.friction * GRAVITY:
+        return []
+    message = (
+        f"the road gives {reach:.3g} m/s^2 across the car, the vehicle file's friction of {vehicle.friction:g} allows "
+        f"{vehicle.friction * GRAVITY:.3g}: write friction = {reach / GRAVITY:.2f} or more there"
+    )
+    return [Finding("warning", "ay", message)]
 
 
 def _channel_ties(signals: Signals, table: dict[str, np.ndarray], vehicle: Vehicle) -> list[Tie]:

@@ -1,20 +1,86 @@
-"""Make the columns that a log lacks from those it has, causally."""
+"""Make the columns that a log lacks from those it has, causally.
+
+Works on rows in pieces of any length, one row or a whole log, with the same result bit for bit.
+"""
 
 from __future__ import annotations
 
+import math
+from dataclasses import dataclass, field
+
 import numpy as np
 
+from crosscomb.models.compiled import kernel
 from crosscomb.models.vehicle import Vehicle
-from crosscomb.signals import WHEEL_SPEEDS, Signals
+from crosscomb.signals import COLUMN, WHEEL_SPEEDS, Signals
 
 SPEED_SLOPE_WINDOW = 0.15
 """Length of the line fitted to vx for ax [s]: a shorter one is noisy on wheel speeds, a longer one late."""
+
+MOST_WINDOWS = 5.0
+"""No sample of a line is older than this many of its windows."""
+
+_STEER, _STEER_WHEEL, _VX, _AX = (COLUMN[name] for name in ("steer", "steer_wheel", "vx", "ax"))
+
+
+@dataclass
+class Line:
+    """Newest samples of a channel, as far back as a line through them reaches."""
+
+    origin: float  # t of the first row [s]
+    tau: np.ndarray = field(default_factory=lambda: np.empty(0))  # since then [s]
+    values: np.ndarray = field(default_factory=lambda: np.empty(0))
+
+
+@dataclass
+class Completion:
+    """A log on its way through the completion: which columns have had a sample, and recent vx."""
+
+    vehicle: Vehicle
+    seen: set[int] = field(default_factory=set)
+    line: Line | None = None
+
+
+def next_rows(completion: Completion, rows: np.ndarray) -> None:
+    """Fill steer, vx and ax in the next rows of a log, each until its own first sample.
+
+    Parameters
+    ----------
+    completion : Completion
+        Changed in place.
+    rows : (n, columns)
+        As of `Signals.rows`; changed in place.
+    """
+    vehicle = completion.vehicle
+    lacking = _before_first(completion, rows, _STEER)
+    if lacking:
+        rows[:lacking, _STEER] = rows[:lacking, _STEER_WHEEL] / vehicle.steering_ratio
+    lacking = _before_first(completion, rows, _VX)
+    if lacking:
+        _wheels_to_speed(rows[:lacking], vehicle.track_front, vehicle.track_rear, rows[:lacking, _VX])
+    lacking = _before_first(completion, rows, _AX)
+    if lacking:
+        t = rows[:lacking, COLUMN["t"]]
+        completion.line = completion.line or Line(float(t[0]))
+        rows[:lacking, _AX] = next_slopes(completion.line, t, rows[:lacking, _VX], SPEED_SLOPE_WINDOW)
+
+
+def _before_first(completion: Completion, rows: np.ndarray, column: int) -> int:
+    """Number of rows before the column's first sample in the log."""
+    if column in completion.seen:
+        return 0
+    known = np.isfinite(rows[:, column])
+    if not known.any():
+        return len(rows)
+    completion.seen.add(column)
+    return int(np.argmax(known))
 
 
 def complete(signals: Signals, vehicle: Vehicle) -> Signals:
     """Add the columns steer, vx and ax where the log lacks them, with a note for each.
 
-    Row i depends on rows up to i only. A column that holds any measurement is left as it is.
+    Row i depends on rows up to i only. A column is made until its first sample comes, and left as it is from
+    there on.
 
     Parameters
     ----------
@@ -28,21 +94,21 @@ def complete(signals: Signals, vehicle: Vehicle) -> Signals:
     Signals
         The log with steer [rad], vx [m/s] and ax [m/s^2].
     """
-    if not signals.has("steer"):
-        signals = signals.with_columns(
-            f"steer made from steer_wheel and the steering ratio {vehicle.steering_ratio:g}",
-            steer=signals.column("steer_wheel") / vehicle.steering_ratio,
-        )
-    if not signals.has("vx"):
-        signals = signals.with_columns(
-            "vx made from the wheel speeds, yaw rate and steering angle",
-            vx=speed_from_wheels(signals, vehicle),
-        )
-    if not signals.has("ax"):
-        signals = signals.with_columns(
-            f"ax is missing: the slope of vx over the last {SPEED_SLOPE_WINDOW:g} s is taken instead",
-            ax=causal_slope(signals.t, signals.column("vx"), SPEED_SLOPE_WINDOW),
-        )
+    rows = signals.rows()
+    next_rows(Completion(vehicle), rows)
+    texts = {
+        "steer": f"steer made from steer_wheel and the steering ratio {vehicle.steering_ratio:g}",
+        "vx": "vx made from the wheel speeds, yaw rate and steering angle",
+        "ax": f"ax is missing: the slope of vx over the last {SPEED_SLOPE_WINDOW:g} s is taken instead",
+    }
+    for name, note in texts.items():
+        made = rows[:, COLUMN[name]]
+        measured = np.isfinite(signals.column(name))
+        if not measured.any():
+            signals = signals.with_columns(note, **{name: made.copy()})
+        elif np.any(np.isfinite(made) & ~measured):
+            until = f"{note}, until its first sample at t = {signals.t[np.argmax(measured)]:g} s"
+            signals = signals.with_columns(until, **{name: made.copy()})
     return signals
 
 
@@ -53,22 +119,31 @@ def speed_from_wheels(signals: Signals, vehicle: Vehicle) -> np.ndarray:
     wheels are the slower ones. A wheel without a measurement is left out of the mean. Di Biase 2020,
     eq. 61 to 64.
     """
-    yaw_rate = signals.column("yaw_rate")
-    ahead = np.cos(signals.column("steer"))
-    front, rear = 0.5 * vehicle.track_front, 0.5 * vehicle.track_rear
-    vfl, vfr, vrl, vrr = (signals.column(wheel) for wheel in WHEEL_SPEEDS)
-    moved = np.stack(
-        [
-            vfl * ahead + yaw_rate * front,
-            vfr * ahead - yaw_rate * front,
-            vrl + yaw_rate * rear,
-            vrr - yaw_rate * rear,
-        ]
-    )
-    known = np.isfinite(moved)
-    total = np.where(known, moved, 0.0).sum(axis=0)
-    count = known.sum(axis=0)
-    return np.where(count > 0, total / np.maximum(count, 1), np.nan)
+    speed = np.empty(len(signals))
+    _wheels_to_speed(signals.rows(), vehicle.track_front, vehicle.track_rear, speed)
+    return speed
+
+
+_YAW_RATE = COLUMN["yaw_rate"]
+_VFL, _VFR, _VRL, _VRR = (COLUMN[name] for name in WHEEL_SPEEDS)
+
+
+@kernel
+def _wheels_to_speed(rows, track_front, track_rear, out):
+    for k in range(rows.shape[0]):
+        ahead, yaw_rate = math.cos(rows[k, _STEER]), rows[k, _YAW_RATE]
+        front, rear = 0.5 * track_front * yaw_rate, 0.5 * track_rear * yaw_rate
+        total, count = 0.0, 0
+        for speed in (
+            rows[k, _VFL] * ahead + front,
+            rows[k, _VFR] * ahead - front,
+            rows[k, _VRL] + rear,
+            rows[k, _VRR] - rear,
+        ):
+            if math.isfinite(speed):
+                total += speed
+                count += 1
+        out[k] = total / count if count > 0 else math.nan
 
 
 def causal_slope(t: np.ndarray, values: np.ndarray, window: float) -> np.ndarray:
@@ -91,28 +166,43 @@ def causal_slope(t: np.ndarray, values: np.ndarray, window: float) -> np.ndarray
     ndarray
         ``(n,)`` [unit of values per s]; NaN where the value is missing or fewer than three samples are near.
     """
-    measured = np.flatnonzero(np.isfinite(values))
-    slope = np.full(values.shape, np.nan)
-    tau, x = t[measured] - t[0], values[measured]
-    rounding = 1e-6 * window
-    first = np.searchsorted(tau, tau - window - rounding)
-    first = np.minimum(first, np.arange(tau.size) - 2)
-    longest = int(np.max(np.arange(tau.size) - first, initial=2)) + 1
+    return next_slopes(Line(float(t[0])), t, values, window)
 
-    # Sums over sample i - back, taken relative to sample i: no digits are lost however long the log is.
-    count, sum_t, sum_x, sum_tt, sum_tx = np.zeros((5, tau.size))
-    for back in range(longest):
-        old = np.arange(tau.size) - back
-        dt = np.where(old >= 0, tau[old], -np.inf) - tau
-        used = (old >= first) & (dt >= -5.0 * window - rounding)
-        dt = np.where(used, dt, 0.0)
-        dx = np.where(used, x[old] - x, 0.0)
-        count += used
-        sum_t += dt
-        sum_x += dx
-        sum_tt += dt * dt
-        sum_tx += dt * dx
-    enough = count >= 3
-    spread = np.where(enough, count * sum_tt - sum_t**2, 1.0)
-    slope[measured] = np.where(enough, (count * sum_tx - sum_t * sum_x) / spread, np.nan)
+
+def next_slopes(line: Line, t: np.ndarray, values: np.ndarray, window: float) -> np.ndarray:
+    """Slopes of `causal_slope` at the next rows of a log; `line` keeps what later rows need."""
+    known = np.isfinite(values)
+    slope = np.full(len(values), np.nan)
+    if not known.any():
+        return slope
+    line.tau, before = np.concatenate([line.tau, t[known] - line.origin]), len(line.tau)
+    line.values = np.concatenate([line.values, values[known]])
+    made = np.empty(len(line.tau) - before)
+    _slopes(line.tau, line.values, before, window, made)
+    slope[known] = made
+    old = int(np.searchsorted(line.tau, line.tau[-1] - (MOST_WINDOWS + 1.0) * window))
+    line.tau, line.values = line.tau[old:], line.values[old:]
     return slope
+
+
+@kernel
+def _slopes(tau, values, first, window, out):
+    """Slopes at the samples from `first` on."""
+    rounding = 1e-6 * window
+    for i in range(first, tau.size):
+        # Sums relative to sample i: no digits are lost however long the log is.
+        count, sum_t, sum_x, sum_tt, sum_tx = 0, 0.0, 0.0, 0.0, 0.0
+        for back in range(i + 1):
+            dt, dx = tau[i - back] - tau[i], values[i - back] - values[i]
+            outside = tau[i - back] < tau[i] - window - rounding
+            if (outside and back > 2) or dt < -MOST_WINDOWS * window - rounding:
+                break
+            count += 1
+            sum_t += dt
+            sum_x += dx
+            sum_tt += dt * dt
+            sum_tx += dt * dx
+        slope = (
+            (count * sum_tx - sum_t * sum_x) / (count * sum_tt - sum_t * sum_t) if count >= 3 else math.nan
+        )
+        out[i - first] = slope

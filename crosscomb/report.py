@@ -14,10 +14,12 @@ import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.patches import Patch
 
-from crosscomb.estimate import LogEstimate
 from crosscomb.files import write_file, write_text
+from crosscomb.handling import STATES
 from crosscomb.signals import MIN_SPEED
+from crosscomb.stream import LogEstimate
 from crosscomb.tree_view import tree_figure, tree_text
 
 if TYPE_CHECKING:
@@ -28,8 +30,12 @@ COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
 """Colour of each filter, told apart by colour-blind eyes (Okabe and Ito)."""
 
 
+STATE_COLOURS = dict(zip(STATES, ("0.88", COLOURS[0], COLOURS[4], COLOURS[1], "white"), strict=True))
+"""Colour of each state of handling."""
+
+
 def estimate_figure(estimate: LogEstimate, title: str) -> Figure:
-    """Draw beta with its band and the reference, the active filter, and the signals it was chosen by.
+    """Draw beta with its band and the reference, the active filter, the handling, and the signals it was chosen by.
 
     Parameters
     ----------
@@ -39,8 +45,8 @@ def estimate_figure(estimate: LogEstimate, title: str) -> Figure:
     t = estimate.signals.t - estimate.signals.t[0]
     names = list(estimate.filters)
     moving = estimate.signals.column("vx") > MIN_SPEED
-    figure = Figure(figsize=(12, 7), layout="constrained")
-    main, strip, inputs = figure.subplots(3, 1, sharex=True, height_ratios=(5, 0.6, 2.2))
+    figure = Figure(figsize=(12, 7.4), layout="constrained")
+    main, strip, balance, inputs = figure.subplots(4, 1, sharex=True, height_ratios=(5, 0.6, 0.6, 2.2))
     beta, band = np.degrees(estimate.beta), np.degrees(1.96 * estimate.beta_std)
     for colour, name in zip(COLOURS, names, strict=False):
         main.plot(t, np.degrees(estimate.filters[name]), color=colour, lw=0.7, alpha=0.55, label=name)
@@ -59,8 +65,16 @@ def estimate_figure(estimate: LogEstimate, title: str) -> Figure:
     for colour, name in zip(COLOURS, names, strict=False):
         strip.fill_between(t, 0, 1, where=estimate.active == name, color=colour, lw=0, step="post")
     strip.fill_between(t, 0, 1, where=~moving, color="white", alpha=0.75, lw=0, step="post")
-    strip.set_yticks([])
-    strip.set_ylabel("active", rotation=0, ha="right", va="center")
+    for state, colour in STATE_COLOURS.items():
+        here = estimate.handling.state == state
+        balance.fill_between(t, 0, 1, where=here, color=colour, lw=0, step="post")
+    for axis, label in ((strip, "active"), (balance, "handling")):
+        axis.set_yticks([])
+        axis.set_ylim(0.0, 1.0)
+        axis.set_ylabel(label, rotation=0, ha="right", va="center")
+    shown_states = [Patch(fc=STATE_COLOURS[state], ec="0.6", label=state) for state in STATES]
+    balance.legend(handles=shown_states, loc="center left", bbox_to_anchor=(1.0, 0.5), fontsize=8, ncols=2,
+                   frameon=False, columnspacing=1.0, handlelength=1.0)  # fmt: skip
     inputs.plot(t, estimate.signals.column("ay"), color="0.25", lw=0.7, label="ay [m/s²]")
     inputs.plot(t, np.degrees(estimate.signals.column("yaw_rate")) / 10.0, color=COLOURS[4], lw=0.9,
                 label="yaw rate [10 deg/s]")  # fmt: skip

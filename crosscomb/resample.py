@@ -1,12 +1,19 @@
-"""Bring a log to the working rate of the filters without looking ahead and without inventing data."""
+"""Bring a log to the working rate of the filters without looking ahead and without inventing data.
+
+One kernel takes row after row, so a log gives the same grid bit for bit in one piece, in chunks, or row by row.
+"""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
 
+from crosscomb.models.compiled import kernel
 from crosscomb.signals import GNSS, REFERENCES, Signals
 
 MAX_GAP = 1.0
@@ -29,11 +36,141 @@ class Segment:
         Rows ``start_row <= row < stop_row`` of the log are covered (counted from 0).
     signals : Signals
         The stretch with regular t: grid point k is at ``t[start_row] + k / rate``.
+    newest : (stop_row - start_row,) int
+        The newest grid point at or before each row.
     """
 
     start_row: int
     stop_row: int
     signals: Signals
+    newest: np.ndarray
+
+
+class GridState(NamedTuple):
+    """What is known of each channel at the newest row, changed in place by the kernel."""
+
+    closed: np.ndarray  # (1,) grid points that are closed: no later row changes them
+    counts: np.ndarray  # (channels,) samples since the last closed point
+    sums: np.ndarray  # (channels,) of these
+    seen: np.ndarray  # (channels,) bool, there was a sample
+    fresh: np.ndarray  # (channels,) bool, the newest row has a sample
+    newest: np.ndarray  # (channels,) newest sample
+    times: np.ndarray  # (channels,) and its time since the start [s]
+    intervals: np.ndarray  # (channels,) from the sample before it to the newest [s]; 0 for the first
+
+
+@dataclass(frozen=True)
+class Grid:
+    """A stretch on its way to the working rate.
+
+    Attributes
+    ----------
+    t_start : float [s]
+        Time of its first row, which is grid point 0.
+    rate : float [Hz]
+    once : (channels,) bool
+        Channels whose samples count once, neither averaged nor held.
+    state : GridState
+    """
+
+    t_start: float
+    rate: float
+    once: np.ndarray
+    state: GridState
+
+
+def start_grid(t_start: float, rate: float, channels: Sequence[str]) -> Grid:
+    """Make the grid of a stretch before its first row.
+
+    Parameters
+    ----------
+    t_start : float
+        Time of the first row [s].
+    rate : float [Hz]
+    channels : sequence of str
+        Names of the columns that rows will have.
+    """
+    n = len(channels)
+    once = np.array([name in REFERENCES + GNSS for name in channels], dtype=np.bool_)
+    state = GridState(
+        np.zeros(1, np.int64), np.zeros(n, np.int64), np.zeros(n), np.zeros(n, np.bool_), np.zeros(n, np.bool_),
+        np.zeros(n), np.zeros(n), np.zeros(n),
+    )  # fmt: skip
+    return Grid(t_start, rate, once, state)
+
+
+def next_points(grid: Grid, t: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Take the next rows of a stretch.
+
+    Parameters
+    ----------
+    grid : Grid
+        Its state changes.
+    t : (n,) [s]
+        Increasing.
+    rows : (n, channels)
+        NaN means "no measurement".
+
+    Returns
+    -------
+    points : (m, channels)
+        The grid points that these rows close, m may be 0.
+    newest : (n,) int
+        The newest grid point at or before each row, counted from the start of the stretch.
+    """
+    tau = t - grid.t_start
+    # Unix time stamps have a resolution of 0.24 us, which is more than a millionth of a step.
+    tolerance = max(_ROUNDING, 4.0 * grid.rate * math.ulp(abs(grid.t_start)))
+    last = math.floor(tau[-1] * grid.rate + tolerance)
+    points = np.empty((last + 1 - int(grid.state.closed[0]), rows.shape[1]))
+    newest = np.empty(len(t), dtype=np.int64)
+    _take_rows(grid.state, tau, rows, grid.rate, tolerance, grid.once, points, newest)
+    return points, newest
+
+
+@kernel
+def _take_rows(state, tau, rows, rate, tolerance, once, points, newest):
+    """Take rows one after the other and close the grid points that they reach."""
+    before = state.closed[0]
+    for i in range(tau.size):
+        # The grid point that the row counts for: not one that a row before it has closed.
+        point = max(math.ceil(tau[i] * rate - tolerance), state.closed[0])
+        reached = math.floor(tau[i] * rate + tolerance)
+        while state.closed[0] <= min(point - 1, reached):
+            _close_point(state, rate, tolerance, once, points[state.closed[0] - before])
+        _add_row(state, tau[i], rows[i])
+        if point <= reached:
+            _close_point(state, rate, tolerance, once, points[state.closed[0] - before])
+        newest[i] = reached
+
+
+@kernel
+def _add_row(state, tau, row):
+    for j in range(row.size):
+        state.fresh[j] = math.isfinite(row[j])
+        if state.fresh[j]:
+            state.intervals[j] = tau - state.times[j] if state.seen[j] else 0.0
+            state.seen[j] = True
+            state.newest[j], state.times[j] = row[j], tau
+            state.counts[j] += 1
+            state.sums[j] += row[j]
+
+
+@kernel
+def _close_point(state, rate, tolerance, once, out):
+    """Write the next grid point."""
+    time, slack = state.closed[0] / rate, tolerance / rate
+    state.closed[0] += 1
+    for j in range(out.size):
+        age = time - state.times[j]
+        due = state.intervals[j] - slack
+        out[j] = math.nan
+        if state.counts[j] > 0:
+            several = state.counts[j] > 1 and not once[j]
+            out[j] = state.sums[j] / state.counts[j] if several else state.newest[j]
+        elif state.seen[j] and not once[j] and age <= MAX_AGE + slack and (state.fresh[j] or age < due):
+            out[j] = state.newest[j]
+        state.counts[j], state.sums[j] = 0, 0.0
 
 
 def resample(signals: Signals, rate: float) -> list[Segment]:
@@ -59,83 +196,22 @@ def resample(signals: Signals, rate: float) -> list[Segment]:
     list of Segment
         In order of time; together they cover every row once.
     """
-    t = signals.t
-    starts = [0, *(np.flatnonzero(np.diff(t) > MAX_GAP) + 1).tolist()]
-    stops = [*starts[1:], len(t)]
+    starts = stretch_starts(signals.t)
+    stops = [*starts[1:], len(signals)]
     return [_resample_stretch(signals, start, stop, rate) for start, stop in zip(starts, stops, strict=True)]
 
 
-def rows_to_grid(t_rows: np.ndarray, segment: Segment, rate: float) -> np.ndarray:
-    """Index of the newest grid point at or before each row.
-
-    Parameters
-    ----------
-    t_rows : ndarray
-        Times of the segment's rows ``(n,) [s]``.
-    segment : Segment
-        As made by `resample` at the same rate.
-    rate : float
-        Working rate [Hz].
-
-    Returns
-    -------
-    ndarray
-        ``(n,)`` int, indices into the segment's grid.
-    """
-    t_grid = segment.signals.t
-    steps = (t_rows - t_grid[0]) * rate
-    newest = np.floor(steps + _tolerance(t_grid[0], rate)).astype(np.int64)
-    return np.clip(newest, 0, len(t_grid) - 1)
-
-
-def _tolerance(t_start: float, rate: float) -> float:
-    # Unix time stamps have a resolution of 0.24 us, which is more than a millionth of a step.
-    return max(_ROUNDING, 4.0 * rate * float(np.spacing(abs(t_start))))
+def stretch_starts(t: np.ndarray, before: float = -math.inf) -> list[int]:
+    """First row of each stretch in rows at times t ``(n,) [s]``; `before` is the time of the row before them."""
+    return np.flatnonzero(np.diff(t, prepend=before) > MAX_GAP).tolist()
 
 
 def _resample_stretch(signals: Signals, start: int, stop: int, rate: float) -> Segment:
-    t_start = signals.t[start]
-    tau = signals.t[start:stop] - t_start
-    tolerance = _tolerance(t_start, rate)
-    last = int(np.floor(tau[-1] * rate + tolerance))
-    steps = np.ceil(tau * rate - tolerance).astype(np.int64)  # the grid point that each row counts for
-    rows = int(np.searchsorted(steps, last, side="right"))  # later rows are past the last grid point
-    tau, steps = tau[:rows], steps[:rows]
-    grid = np.arange(last + 1) / rate
-
-    columns = {"t": t_start + grid}
-    for name in signals.frame.columns.drop("t"):
-        values = signals.column(name)[start : start + rows]
-        columns[name] = _to_grid(values, tau, steps, grid, tolerance / rate, once=name in REFERENCES + GNSS)
+    names = [str(name) for name in signals.frame.columns if name != "t"]
+    rows = np.column_stack([signals.column(name)[start:stop] for name in names])
+    grid = start_grid(float(signals.t[start]), rate, names)
+    points, newest = next_points(grid, signals.t[start:stop], rows)
+    columns = {"t": grid.t_start + np.arange(len(points)) / rate}
+    columns |= {name: points[:, place].copy() for place, name in enumerate(names)}
     frame = pd.DataFrame(columns)[list(signals.frame.columns)]
-    return Segment(start, stop, replace(signals, frame=frame))
-
-
-def _to_grid(
-    values: np.ndarray, tau: np.ndarray, steps: np.ndarray, grid: np.ndarray, slack: float, *, once: bool
-) -> np.ndarray:
-    """One channel at the grid times; `steps` is the grid point that each row counts for, `slack` is [s]."""
-    measured = np.flatnonzero(np.isfinite(values))
-    if measured.size == 0:
-        return np.full(grid.size, np.nan)
-    points = np.arange(grid.size)
-    ends = np.searchsorted(steps[measured], points, side="right")  # samples up to each grid point
-    counts = np.diff(ends, prepend=0)
-    newest = np.maximum(ends - 1, 0)
-    result = np.where(counts > 0, values[measured][newest], np.nan)
-    if once:
-        return result
-
-    several = counts > 1
-    if several.any():
-        sums = np.bincount(steps[measured], values[measured], grid.size)
-        result[several] = sums[several] / counts[several]
-
-    sample_time = tau[measured]
-    age = grid - sample_time[newest]
-    interval = sample_time[newest] - sample_time[np.maximum(newest - 1, 0)]
-    newest_row = np.searchsorted(steps, points, side="right") - 1
-    silent = measured[newest] == newest_row
-    held = (counts == 0) & (ends > 0) & (age <= MAX_AGE + slack) & (silent | (age < interval - slack))
-    result[held] = values[measured][newest[held]]
-    return result
+    return Segment(start, stop, replace(signals, frame=frame), newest)

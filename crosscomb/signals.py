@@ -42,6 +42,9 @@ UNITS: dict[str, str] = {
 }
 """Every known column with its SI unit; other columns of a log are ignored."""
 
+COLUMN = {name: place for place, name in enumerate(UNITS)}
+"""Place of each column in a row of numbers, see `Signals.rows`."""
+
 WHEEL_SPEEDS = ("vfl", "vfr", "vrl", "vrr")
 TORQUES = ("torque_fl", "torque_fr", "torque_rl", "torque_rr")
 GNSS = ("gnss_speed", "gnss_course", "heading")
@@ -84,6 +87,13 @@ class Signals:
         if name in self.frame:
             return self.frame[name].to_numpy(dtype=np.float64)
         return np.full(len(self.frame), np.nan)
+
+    def rows(self) -> np.ndarray:
+        """All known columns ``(n, columns)`` in the order of `UNITS`; NaN where the log does not have one."""
+        table = np.full((len(self.frame), len(UNITS)), np.nan)
+        for name in self.frame.columns:
+            table[:, COLUMN[name]] = self.frame[name].to_numpy(dtype=np.float64)
+        return table
 
     def has(self, name: str) -> bool:
         """Tell whether the column holds at least one measurement."""

@@ -123,6 +123,12 @@ def show_log_scores(scores: dict[str, dict[str, Score]]) -> None:
     show("Error against the logs' ground truth", ["RMSE / max [deg]", *estimators], rows)
 
 
+def shares_text(shares: dict[str, float]) -> str:
+    """Shares in words, those that round to nothing left out."""
+    texts = [f"{name} {100.0 * share:.1f} %" for name, share in shares.items() if share >= 0.0005]
+    return ", ".join(texts) or "nothing known"
+
+
 def show_signals(signals: Signals) -> None:
     """Print what is in a log: each channel's unit, coverage and range."""
     t = signals.t

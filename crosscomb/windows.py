@@ -7,13 +7,14 @@ sample k sees samples up to k only and does not depend on how the log was cut in
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
-from numba import njit
 from pydantic import BaseModel, ConfigDict, Field
 
-from crosscomb.filters.base import hold
+from crosscomb.models.compiled import kernel
 
 LEAST_YAW_RATE = 0.01
 """Below this yaw rate [rad/s] the slope of ay over yaw rate means nothing and goes to 0."""
@@ -41,7 +42,7 @@ class WindowSettings(BaseModel):
     hop: int = Field(default=10, ge=1, le=1000)
     features: Literal["raw", "statistics"] = "statistics"
 
-    @property
+    @cached_property
     def names(self) -> list[str]:
         """Name of each feature with its unit, in order."""
         if self.features == "raw":
@@ -70,7 +71,7 @@ class WindowSettings(BaseModel):
         return self.length if self.features == "raw" else self.length * self.history
 
 
-@njit(cache=True)
+@kernel
 def _statistics(values, start, stop, out):
     """Magnitude of the mean, mean magnitude, standard deviation and largest magnitude of values[start:stop].
 
@@ -89,7 +90,7 @@ def _statistics(values, start, stop, out):
     out[0], out[1], out[2], out[3] = abs(mean), magnitude / n, math.sqrt(squares / n), largest
 
 
-@njit(cache=True)
+@kernel
 def _line(ay, yaw_rate, start, stop, out):
     """Mean product, slope of ay over yaw rate, and what the slope leaves over.
 
@@ -106,7 +107,7 @@ def _line(ay, yaw_rate, start, stop, out):
     out[0], out[1], out[2] = product / n, slope, math.sqrt(max(left, 0.0) / n)
 
 
-@njit(cache=True)
+@kernel
 def statistics_at(ay, yaw_rate, k, length, history, out):
     """Write the features of sample k: of its window, and of the windows before it with it."""
     for level in range(2):
@@ -118,14 +119,14 @@ def statistics_at(ay, yaw_rate, k, length, history, out):
         _line(ay, yaw_rate, start, k + 1, out[11 * level + 8 : 11 * level + 11])
 
 
-@njit(cache=True)
-def _statistics_run(ay, yaw_rate, length, history, out):
-    """Fill the features of every sample."""
-    for k in range(ay.size):
-        statistics_at(ay, yaw_rate, k, length, history, out[k])
+@kernel
+def _statistics_run(ay, yaw_rate, first, length, history, out):
+    """Fill the features of the samples from `first` on."""
+    for k in range(first, ay.size):
+        statistics_at(ay, yaw_rate, k, length, history, out[k - first])
 
 
-@njit(cache=True)
+@kernel
 def raw_at(ay, yaw_rate, k, length, out):
     """Write the samples of the window of sample k; before the log is its first sample."""
     for j in range(length):
@@ -134,11 +135,28 @@ def raw_at(ay, yaw_rate, k, length, out):
         out[length + j] = yaw_rate[i]
 
 
-@njit(cache=True)
-def _raw_run(ay, yaw_rate, length, out):
-    """Fill the features of every sample with the samples of its window."""
-    for k in range(ay.size):
-        raw_at(ay, yaw_rate, k, length, out[k])
+@kernel
+def _raw_run(ay, yaw_rate, first, length, out):
+    """Fill the features of the samples from `first` on with the samples of their windows."""
+    for k in range(first, ay.size):
+        raw_at(ay, yaw_rate, k, length, out[k - first])
+
+
+@kernel
+def _hold(values, last):
+    """Fill missing samples in place with the last one before them."""
+    for k in range(values.size):
+        if not math.isfinite(values[k]):
+            values[k] = last
+        last = values[k]
+
+
+@dataclass
+class Past:
+    """Newest samples of a drive, as far back as the next window reaches; missing ones are filled."""
+
+    ay: np.ndarray = field(default_factory=lambda: np.empty(0))  # [m/s^2]
+    yaw_rate: np.ndarray = field(default_factory=lambda: np.empty(0))  # [rad/s]
 
 
 def window_features(ay: np.ndarray, yaw_rate: np.ndarray, settings: WindowSettings) -> np.ndarray:
@@ -156,10 +174,25 @@ def window_features(ay: np.ndarray, yaw_rate: np.ndarray, settings: WindowSettin
     (n, features) float32
         In the precision in which the trees of scikit-learn compare.
     """
-    ay, yaw_rate = hold(ay), hold(yaw_rate)
+    return next_windows(Past(), ay, yaw_rate, settings)
+
+
+def next_windows(past: Past, ay: np.ndarray, yaw_rate: np.ndarray, settings: WindowSettings) -> np.ndarray:
+    """Features of `window_features` at the next samples of a drive; `past` keeps what later ones need."""
+    first = len(past.ay)
+    past.ay, past.yaw_rate = _joined(past.ay, ay), _joined(past.yaw_rate, yaw_rate)
     out = np.empty((len(ay), len(settings.names)))
     if settings.features == "raw":
-        _raw_run(ay, yaw_rate, settings.length, out)
+        _raw_run(past.ay, past.yaw_rate, first, settings.length, out)
     else:
-        _statistics_run(ay, yaw_rate, settings.length, settings.history, out)
+        _statistics_run(past.ay, past.yaw_rate, first, settings.length, settings.history, out)
+    keep = settings.memory - 1
+    past.ay, past.yaw_rate = past.ay[-keep:], past.yaw_rate[-keep:]
     return out.astype(np.float32)
+
+
+def _joined(past: np.ndarray, new: np.ndarray) -> np.ndarray:
+    """Old and new samples, the missing among the new ones filled."""
+    joined = np.concatenate([past, new])
+    _hold(joined[len(past) :], past[-1] if len(past) else 0.0)
+    return joined

@@ -9,14 +9,13 @@ from functools import cached_property
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
-import pandas as pd
 
-from crosscomb.models.compiled import inlined
+from crosscomb.models.compiled import inlined, kernel
 from crosscomb.models.kinematic import slip_of_rolling_rear
 from crosscomb.models.single_track import SingleTrack, single_track
 from crosscomb.models.tyres import TYRE_LAWS
 from crosscomb.models.vehicle import Vehicle
-from crosscomb.signals import GNSS, GRAVITY, MIN_SPEED, TORQUES, WHEEL_SPEEDS, Signals
+from crosscomb.signals import COLUMN, GNSS, GRAVITY, MIN_SPEED, TORQUES, WHEEL_SPEEDS, Signals
 
 VX, AX, AY, YAW_RATE, STEER, STEER_REAR, FXF, FXR, VX_HELD, STEER_HELD = range(10)
 VFL, VFR, VRL, VRR, GNSS_SPEED, GNSS_COURSE, HEADING = range(10, 17)
@@ -137,12 +136,16 @@ class KernelFilter:
         beta, beta_std, nis = started.out[:3]
         return float(beta), float(beta_std), float(nis)
 
-    def run(self, inputs: Inputs) -> Estimate:
-        """Estimate a whole log; bit-identical to `step` sample by sample."""
-        out = np.full((len(inputs.samples), 3 + len(self.extras)), np.nan)
-        self.run_kernel(self.make_state(), inputs.samples, self.car, self.noise, inputs.dt, out)
+    def advance(self, started: Started, samples: np.ndarray) -> Estimate:
+        """Take the next samples ``(n, 17)`` and change `started`; bit-identical to `step` sample by sample."""
+        out = np.full((len(samples), 3 + len(self.extras)), np.nan)
+        self.run_kernel(started.state, samples, self.car, self.noise, started.dt, out)
         beta, beta_std, nis, *extra = out.T.copy()
         return Estimate(beta, beta_std, nis, dict(zip(self.extras, extra, strict=True)))
+
+    def run(self, inputs: Inputs) -> Estimate:
+        """Estimate a whole log."""
+        return self.advance(self.start(inputs.dt), inputs.samples)
 
     def log_likelihood(self, inputs: Inputs) -> float:
         """Log density of a log's measurements, each given those before it (the sum over the innovations).
@@ -156,10 +159,10 @@ class KernelFilter:
 
 
 class Gaussian(NamedTuple):
-    """Mean and covariance of a two-state filter, changed in place by its kernel."""
+    """Mean and covariance of a filter of n states, changed in place by its kernel."""
 
-    mean: np.ndarray  # (2,)
-    cov: np.ndarray  # (2, 2)
+    mean: np.ndarray  # (n,)
+    cov: np.ndarray  # (n, n)
     running: np.ndarray  # (1,) 1 above the low-speed gate, 0 below
     evidence: np.ndarray  # (1,) sum of the innovations' log densities; (0,) where nobody asks for it
 
@@ -240,6 +243,29 @@ def propagate(cov, f00, f01, f10, f11, q00, q01, q11):
     cov[1, 1] = b10 * f10 + b11 * f11 + q11
 
 
+class InputCar(NamedTuple):
+    """What the inputs take of a vehicle."""
+
+    roll_gain: float  # ay in the rolled body over ay
+    mass: float  # [kg]
+    share_front: float  # of the static load
+    wheel_radius: float  # [m]
+
+
+def input_car(vehicle: Vehicle) -> InputCar:
+    """Take from a vehicle what the inputs need."""
+    return InputCar(
+        1.0 + GRAVITY * vehicle.roll_gradient,
+        vehicle.mass,
+        vehicle.cg_to_rear_axle / vehicle.wheelbase,
+        vehicle.wheel_radius,
+    )
+
+
+HELD = ("vx", "steer", "steer_rear")
+"""Channels that are held over missing samples, 0 before the first."""
+
+
 def make_inputs(signals: Signals, vehicle: Vehicle, dt: float) -> Inputs:
     """Turn a log at the working rate into what filters take.
 
@@ -253,35 +279,59 @@ def make_inputs(signals: Signals, vehicle: Vehicle, dt: float) -> Inputs:
     vehicle : Vehicle
     dt : float [s]
     """
-    samples = np.empty((len(signals), SAMPLE_WIDTH))
-    samples[:, VX] = hold(signals.column("vx"))
-    samples[:, AX] = signals.column("ax")
-    samples[:, AY] = signals.column("ay") / (1.0 + GRAVITY * vehicle.roll_gradient)
-    samples[:, YAW_RATE] = signals.column("yaw_rate")
-    samples[:, STEER] = hold(signals.column("steer"))
-    samples[:, STEER_REAR] = hold(signals.column("steer_rear"))
-    samples[:, FXF], samples[:, FXR] = longitudinal_forces(signals, vehicle)
-    for column, name in zip(range(VFL, HEADING + 1), (*WHEEL_SPEEDS, *GNSS), strict=True):
-        samples[:, column] = signals.column(name)
-    samples[:, VX_HELD] = ~np.isfinite(signals.column("vx"))
-    samples[:, STEER_HELD] = ~np.isfinite(signals.column("steer"))
+    return next_inputs(np.zeros(len(HELD)), signals.rows(), vehicle, dt)
+
+
+def next_inputs(held: np.ndarray, points: np.ndarray, vehicle: Vehicle, dt: float) -> Inputs:
+    """Turn the next grid points of a stretch into what filters take, see `make_inputs`.
+
+    Parameters
+    ----------
+    held : (3,)
+        Last values of the channels `HELD`, zeros at the start; changed in place.
+    points : (n, columns)
+        As of `crosscomb.signals.Signals.rows`.
+    vehicle : Vehicle
+    dt : float [s]
+    """
+    samples = np.empty((len(points), SAMPLE_WIDTH))
+    _inputs_run(held, points, input_car(vehicle), samples)
     return Inputs(dt=dt, samples=samples)
 
 
-def hold(values: np.ndarray) -> np.ndarray:
-    """Fill missing samples ``(n,)`` with the last one before them, and with 0 before the first."""
-    return pd.Series(values).ffill().fillna(0.0).to_numpy()
+_HELD_FROM = tuple(COLUMN[name] for name in HELD)
+_HELD_TO = (VX, STEER, STEER_REAR)
+_PLAIN_FROM = tuple(COLUMN[name] for name in ("ax", "yaw_rate", *WHEEL_SPEEDS, *GNSS))
+_PLAIN_TO = (AX, YAW_RATE, *range(VFL, HEADING + 1))
+_AY_FROM = COLUMN["ay"]
+_TORQUE_FL, _TORQUE_FR, _TORQUE_RL, _TORQUE_RR = (COLUMN[name] for name in TORQUES)
 
 
-def longitudinal_forces(signals: Signals, vehicle: Vehicle) -> tuple[np.ndarray, np.ndarray]:
-    """Longitudinal force of the front and rear axle ``(n,) [N]``, from wheel torques or else from ax.
+@kernel
+def _inputs_run(held, points, car, samples):
+    for k in range(points.shape[0]):
+        point, sample = points[k], samples[k]
+        for i in range(len(_HELD_FROM)):
+            if math.isfinite(point[_HELD_FROM[i]]):
+                held[i] = point[_HELD_FROM[i]]
+            sample[_HELD_TO[i]] = held[i]
+        for i in range(len(_PLAIN_FROM)):
+            sample[_PLAIN_TO[i]] = point[_PLAIN_FROM[i]]
+        sample[AY] = point[_AY_FROM] / car.roll_gain
+        sample[FXF], sample[FXR] = _longitudinal_forces(point, sample[AX], car)
+        sample[VX_HELD] = 0.0 if math.isfinite(point[_HELD_FROM[0]]) else 1.0
+        sample[STEER_HELD] = 0.0 if math.isfinite(point[_HELD_FROM[1]]) else 1.0
+
+
+@kernel
+def _longitudinal_forces(point, ax, car):
+    """Longitudinal force of the front and rear axle [N], from wheel torques or else from ax.
 
     Without torques each axle is taken to push or brake in the share of its static load.
     """
-    share_front = vehicle.cg_to_rear_axle / vehicle.wheelbase
-    total = vehicle.mass * np.nan_to_num(signals.column("ax"))
-    torques = [signals.column(name) for name in TORQUES]
-    front = (torques[0] + torques[1]) / vehicle.wheel_radius
-    rear = (torques[2] + torques[3]) / vehicle.wheel_radius
-    known = np.isfinite(front) & np.isfinite(rear)
-    return np.where(known, front, share_front * total), np.where(known, rear, (1.0 - share_front) * total)
+    front = (point[_TORQUE_FL] + point[_TORQUE_FR]) / car.wheel_radius
+    rear = (point[_TORQUE_RL] + point[_TORQUE_RR]) / car.wheel_radius
+    if math.isfinite(front) and math.isfinite(rear):
+        return front, rear
+    total = car.mass * ax if math.isfinite(ax) else 0.0
+    return car.share_front * total, (1.0 - car.share_front) * total

@@ -17,7 +17,6 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 
 from crosscomb.filters.base import (
     AY,
@@ -31,15 +30,16 @@ from crosscomb.filters.base import (
     below_gate,
     gaussian,
 )  # fmt: skip
+from crosscomb.filters.dense import copy_into
 from crosscomb.filters.dynamic_ekf import DynamicNoise, dynamic_step
-from crosscomb.filters.kinematic_kf import KinematicNoise, kinematic_step
-from crosscomb.models.compiled import inlined
+from crosscomb.filters.kinematic_kf import KinematicNoise, kinematic_state, kinematic_step
+from crosscomb.models.compiled import inlined, kernel
 
 
 class Members(NamedTuple):
     """State of a blend, changed in place by its kernel."""
 
-    kinematic: Gaussian  # vx, vy
+    kinematic: Gaussian  # vx, vy and biases
     dynamic: Gaussian  # yaw_rate, beta
     kinematic_out: np.ndarray  # (3,)
     dynamic_out: np.ndarray  # (3,)
@@ -75,7 +75,7 @@ def run_members(state, sample, car, noise, dt, out):
     kinematic_step(state.kinematic, sample, car, noise.kinematic, dt, state.kinematic_out)
     dynamic_step(state.dynamic, sample, car, noise.dynamic, dt, state.dynamic_out)
     if resting:
-        out[:3] = state.dynamic_out
+        copy_into(out, state.dynamic_out)
     return resting
 
 
@@ -126,14 +126,14 @@ def fusion_step(state, sample, car, noise, dt, out):
     out[NIS] = math.nan
 
 
-@njit(cache=True)
+@kernel
 def fuzzy_run(state, samples, car, noise, dt, out):
     """All samples of the fuzzy blend."""
     for k in range(samples.shape[0]):
         fuzzy_step(state, samples[k], car, noise, dt, out[k])
 
 
-@njit(cache=True)
+@kernel
 def fusion_run(state, samples, car, noise, dt, out):
     """All samples of the fusion."""
     for k in range(samples.shape[0]):
@@ -144,7 +144,8 @@ def fusion_run(state, samples, car, noise, dt, out):
 class _Blend(KernelFilter):
     def make_state(self) -> Any:
         """Make both members before the first sample."""
-        return Members(gaussian(), gaussian(), np.zeros(3), np.zeros(3), np.full(3, np.nan))
+        kinematic = kinematic_state(self.noise.kinematic)
+        return Members(kinematic, gaussian(), np.zeros(3), np.zeros(3), np.full(3, np.nan))
 
 
 @dataclass(frozen=True)

@@ -228,8 +228,17 @@ CATALOGUE: dict[str, Entry] = {
 
 DIVISORS = frozenset(
     {"yaw_rate", "ax", "ay", "accel", "speed", "wheel_speed", "gnss_velocity", "heading"}  # what is measured
-    | {"pseudo", "slip", "split", "yaw_moment"}  # what is taken for measured
-    | {"turning", "turning_width", "moving_width", "yaw_layer", "ay_layer", "surprise"}  # widths
+    | {"pseudo", "rolling", "slip", "split", "yaw_moment"}  # what is taken for measured
+    | {
+        "demand",
+        "disagreement",
+        "turning",
+        "turning_width",
+        "moving_width",
+        "yaw_layer",
+        "ay_layer",
+        "surprise",
+    }  # widths
     | {"memory", "stay", "disturbance_time", "bias_time", "outage"}  # times
     | {"parameter_range", "low_friction"}
 )

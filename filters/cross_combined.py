@@ -14,7 +14,6 @@ from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 
 from crosscomb.filters.base import (
     BETA,
@@ -23,14 +22,13 @@ from crosscomb.filters.base import (
     Gaussian,
     KernelFilter,
     below_gate,
-    gaussian,
-    scalar_update,
 )  # fmt: skip
 from crosscomb.filters.blends import mix
-from crosscomb.filters.kinematic_kf import KinematicNoise, kinematic_step
+from crosscomb.filters.dense import copy_into
+from crosscomb.filters.kinematic_kf import KinematicNoise, kinematic_state, kinematic_step, velocity_update
 from crosscomb.filters.planar import PlanarNoise
 from crosscomb.filters.sigma_point import SigmaPointState, SimpleUKF, sigma_point_step
-from crosscomb.models.compiled import inlined
+from crosscomb.models.compiled import inlined, kernel
 from crosscomb.models.planar import TRACKS, PlanarCar, planar_car
 
 
@@ -42,14 +40,14 @@ class CrossNoise(NamedTuple):
     moving: float = 6.0  # speed at which it is a half [m/s]
     moving_width: float = 1.0  # [m/s]
     support: float = 0.01  # error of the unscented beta as a measurement, counted once per second [rad]
-    kinematic: KinematicNoise = KinematicNoise(relaxation=0.1)
+    kinematic: KinematicNoise = KinematicNoise()
     dynamic: PlanarNoise = PlanarNoise()
 
 
 class Crossed(NamedTuple):
     """State of the cross-combination, changed in place by its kernel."""
 
-    kinematic: Gaussian  # vx, vy
+    kinematic: Gaussian  # vx, vy and biases
     dynamic: SigmaPointState  # u, v, r
     kinematic_out: np.ndarray  # (3,)
     dynamic_out: np.ndarray  # (3,)
@@ -77,7 +75,7 @@ def cross_step(state, sample, car, noise, dt, out):
     kinematic_step(state.kinematic, sample, car, noise.kinematic, dt, state.kinematic_out)
     sigma_point_step(state.dynamic, sample, car, noise.dynamic, dt, state.dynamic_out)
     if resting:
-        out[:3] = state.dynamic_out
+        copy_into(out, state.dynamic_out)
         out[3] = 0.0
         return
     share = kinematic_share(sample, noise)
@@ -87,10 +85,10 @@ def cross_step(state, sample, car, noise, dt, out):
     mean = state.kinematic.mean
     variance = (noise.support * mean[0]) ** 2 / (dt * (1.0 - share + 1e-9))
     innovation = mean[0] * math.tan(state.dynamic_out[BETA]) - mean[1]
-    scalar_update(state.kinematic, 0.0, 1.0, innovation, variance)
+    velocity_update(state.kinematic, 0.0, 1.0, innovation, variance)
 
 
-@njit(cache=True)
+@kernel
 def cross_run(state, samples, car, noise, dt, out):
     """All samples."""
     for k in range(samples.shape[0]):
@@ -117,4 +115,9 @@ class CrossCombinedUKF(KernelFilter):
 
     def make_state(self) -> Any:
         """Make both members before the first sample."""
-        return Crossed(gaussian(), SimpleUKF(self.vehicle).make_state(), np.zeros(3), np.zeros(3))
+        return Crossed(
+            kinematic_state(self.noise.kinematic),
+            SimpleUKF(self.vehicle).make_state(),
+            np.zeros(3),
+            np.zeros(3),
+        )

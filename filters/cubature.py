@@ -26,10 +26,9 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from crosscomb.filters.base import BETA, BETA_STD, NIS, SAMPLE_WIDTH, below_gate, low_speed_answer
-from crosscomb.filters.dense import guarded_cholesky, solve_lower, triangular_factor
+from crosscomb.filters.dense import copy_into, guarded_cholesky, solve_lower, triangular_factor
 from crosscomb.filters.planar import (
     MEASUREMENTS,
     PlanarFilter,
@@ -44,7 +43,7 @@ from crosscomb.filters.planar import (
     start,
     substeps,
 )  # fmt: skip
-from crosscomb.models.compiled import inlined
+from crosscomb.models.compiled import inlined, kernel
 from crosscomb.models.planar import Contacts, contacts, planar_rates
 
 POINTS = 6
@@ -204,7 +203,7 @@ def cubature_step(state, sample, car, noise, dt, out):
     cubature_answer(state, out)
 
 
-@njit(cache=True)
+@kernel
 def cubature_run(state, samples, car, noise, dt, out):
     """All samples of the plain filter."""
     for k in range(samples.shape[0]):
@@ -247,7 +246,7 @@ def horizon_step(state, sample, car, noise, dt, out):
         place[0] = place[1] = 0
         return
     length = min(max(round(state.horizon[0] / dt), 1) + 1, window.shape[0])
-    window[place[1]] = sample
+    copy_into(window[place[1]], sample)
     place[1] = (place[1] + 1) % length
     place[0] = min(place[0] + 1, length)
     if place[0] == 1:
@@ -261,7 +260,7 @@ def horizon_step(state, sample, car, noise, dt, out):
     cubature_answer(inner, out)
 
 
-@njit(cache=True)
+@kernel
 def horizon_run(state, samples, car, noise, dt, out):
     """All samples of the receding-horizon filter."""
     for k in range(samples.shape[0]):
@@ -315,7 +314,7 @@ def hybrid_step(state, sample, car, noise, dt, out):
     out[NIS] = weights[0] * answers[0, NIS] + weights[1] * answers[1, NIS]
 
 
-@njit(cache=True)
+@kernel
 def hybrid_run(state, samples, car, noise, dt, out):
     """All samples of the hybrid."""
     for k in range(samples.shape[0]):

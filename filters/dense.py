@@ -16,6 +16,13 @@ PIVOT_FLOOR = 1e-12
 
 
 @inlined
+def copy_into(target, source):
+    """Copy a vector to the beginning of another; numba's own assignment would make a copy in between."""
+    for i in range(source.shape[0]):
+        target[i] = source[i]
+
+
+@inlined
 def joseph_update(mean, cov, row, innovation, variance, work):
     """Update a filter with one scalar measurement, in Joseph form (I - K H) P (I - K H)' + K R K'.
 

@@ -19,7 +19,6 @@ from functools import cached_property
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
-from numba import njit
 
 from crosscomb.filters.base import (
     AX,
@@ -51,7 +50,7 @@ from crosscomb.filters.random_walk_ekf import (
     YAW_MOMENT,
     friction_use,
 )
-from crosscomb.models.compiled import inlined
+from crosscomb.models.compiled import inlined, kernel
 from crosscomb.models.kinematic import slip_of_rolling_rear
 from crosscomb.models.planar import (
     COS,
@@ -269,7 +268,7 @@ def double_walk_step(state, sample, car, noise, dt, out):
     out[FRICTION_USE] = friction_use(mean[2], mean[0], car.track)
 
 
-@njit(cache=True)
+@kernel
 def double_walk_run(state, samples, car, noise, dt, out):
     """All samples."""
     for k in range(samples.shape[0]):

@@ -21,7 +21,6 @@ from functools import cached_property
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
-from numba import njit
 
 from crosscomb.filters.adaptation import Limits, TyreCar, excited, growth, parameter_limits
 from crosscomb.filters.base import (
@@ -46,7 +45,7 @@ from crosscomb.filters.base import (
 )  # fmt: skip
 from crosscomb.filters.leading import consider_update
 from crosscomb.filters.tyre_adaptive_ekf import RATTE
-from crosscomb.models.compiled import inlined
+from crosscomb.models.compiled import inlined, kernel
 from crosscomb.models.parameter_track import (
     BETA_RATE,
     BY_BETA,
@@ -235,7 +234,7 @@ def dual_step(state, sample, car, noise, dt, out):
         out[3 + i] = state.tyres[i]
 
 
-@njit(cache=True)
+@kernel
 def dual_run(state, samples, car, noise, dt, out):
     """All samples."""
     for k in range(samples.shape[0]):

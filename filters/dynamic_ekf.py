@@ -11,8 +11,6 @@ import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from numba import njit
-
 from crosscomb.filters.base import (
     AX,
     AY,
@@ -33,7 +31,7 @@ from crosscomb.filters.base import (
     propagate,
     scalar_update,
 )  # fmt: skip
-from crosscomb.models.compiled import inlined
+from crosscomb.models.compiled import inlined, kernel
 from crosscomb.models.single_track import single_track_rates, stable_substeps
 
 
@@ -132,7 +130,7 @@ def dynamic_step(state, sample, car, noise, dt, out):
     out[BETA_STD] = math.sqrt(cov[1, 1])
 
 
-@njit(cache=True)
+@kernel
 def dynamic_run(state, samples, car, noise, dt, out):
     """All samples of the dynamic filter."""
     for k in range(samples.shape[0]):

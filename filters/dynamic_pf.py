@@ -36,6 +36,7 @@ from crosscomb.filters.base import (
 from crosscomb.filters.dynamic_ekf import DynamicNoise
 from crosscomb.filters.particles import RESAMPLE_BELOW, UNIFORM, cloud, draw_uniform, normalise, weighted_beta
 from crosscomb.filters.resampling import RESAMPLING, resample
+from crosscomb.models.compiled import kernel
 from crosscomb.models.single_track import single_track_rates, stable_substeps
 
 
@@ -52,7 +53,7 @@ class SingleTrackParticles(NamedTuple):
     running: np.ndarray  # (1,) 1 above the low-speed gate
 
 
-@njit(cache=True)
+@kernel
 def first_slips(state, yaw_rate, beta, beta_std, noise):
     """Spread the particles uniformly, as wide as the Kalman filter's first covariance."""
     x, wide_yaw, wide_beta = state.x, UNIFORM * noise.yaw_rate, UNIFORM * beta_std
@@ -62,13 +63,13 @@ def first_slips(state, yaw_rate, beta, beta_std, noise):
     state.log_weights[:] = 0.0
 
 
-@njit(cache=True)
+@kernel
 def wrong_steer(sample, car, noise):
     """Error of the front axle's force by a held steering angle [N]; lasts about a second (see `DynamicNoise`)."""
     return noise.missing_steer * sample[STEER_HELD] * car.stiffness_front
 
 
-@njit(cache=True)
+@kernel
 def move_slips(state, sample, car, noise, dt):
     """Predict every particle over dt by Euler steps, as many as keep the stiff low-speed modes stable."""
     x, draws, rng = state.x, state.scratch, state.rng
@@ -92,7 +93,7 @@ def move_slips(state, sample, car, noise, dt):
         x[0, i], x[1, i] = yaw_rate, min(max(beta, -MAX_BETA), MAX_BETA)
 
 
-@njit(cache=True)
+@kernel
 def weigh_slips(state, sample, car, noise):
     """Add the log likelihood of the yaw rate and ay that are there to the log weights."""
     x, log_weights = state.x, state.log_weights

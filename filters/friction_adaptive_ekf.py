@@ -15,7 +15,6 @@ from functools import cached_property
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
-from numba import njit
 
 from crosscomb.filters.adaptation import TyreCar, excited, growth
 from crosscomb.filters.base import (
@@ -37,7 +36,7 @@ from crosscomb.filters.base import (
     low_speed_answer,
 )  # fmt: skip
 from crosscomb.filters.leading import consider_update, propagate_leading
-from crosscomb.models.compiled import inlined
+from crosscomb.models.compiled import inlined, kernel
 from crosscomb.models.parameter_track import (
     BETA_RATE,
     BY_BETA,
@@ -178,7 +177,7 @@ def friction_step(state, sample, car, noise, dt, out):
     out[3] = mean[2]
 
 
-@njit(cache=True)
+@kernel
 def friction_run(state, samples, car, noise, dt, out):
     """All samples."""
     for k in range(samples.shape[0]):

@@ -15,7 +15,6 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 
 from crosscomb.filters.base import (
     AX,
@@ -39,7 +38,7 @@ from crosscomb.filters.base import (
 )  # fmt: skip
 from crosscomb.filters.dense import joseph_update, propagate_cov
 from crosscomb.filters.gnss_kinematic import wrap
-from crosscomb.models.compiled import inlined
+from crosscomb.models.compiled import inlined, kernel
 from crosscomb.models.single_track import single_track_rates, stable_substeps
 
 
@@ -160,7 +159,7 @@ def gnss_dynamic_step(state, sample, car, noise, dt, out):
     out[BETA], out[BETA_STD] = mean[1], math.sqrt(cov[1, 1])
 
 
-@njit(cache=True)
+@kernel
 def gnss_dynamic_run(state, samples, car, noise, dt, out):
     """All samples of the dynamic observer."""
     for k in range(samples.shape[0]):

@@ -16,7 +16,6 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 
 from crosscomb.filters.base import (
     AX,
@@ -35,9 +34,8 @@ from crosscomb.filters.base import (
     low_speed_answer,
 )  # fmt: skip
 from crosscomb.filters.dense import joseph_update, propagate_cov
-from crosscomb.filters.kinematic_kf import velocity_answer
-from crosscomb.filters.kinematic_variants import limit_slip
-from crosscomb.models.compiled import inlined
+from crosscomb.filters.kinematic_kf import MOST_BIAS, inertial_known, limit_slip, velocity_answer
+from crosscomb.models.compiled import inlined, kernel
 from crosscomb.models.kinematic import input_gain, rotation
 
 PSI, BIAS_YAW, BIAS_AX, BIAS_AY, SCALE = range(2, 7)
@@ -89,7 +87,7 @@ def wrap(angle):
 def gnss_predict(state, sample, noise, dt):
     """Predict the seven states over dt; a missing inertial channel keeps the motion and widens it."""
     mean, cov, f, q = state.mean, state.cov, state.transition, state.added
-    known = math.isfinite(sample[AX]) and math.isfinite(sample[AY]) and math.isfinite(sample[YAW_RATE])
+    known = inertial_known(sample[AX], sample[AY], sample[YAW_RATE])
     ax = sample[AX] - mean[BIAS_AX] if known else 0.0
     ay = sample[AY] - mean[BIAS_AY] if known else 0.0
     yaw_rate = sample[YAW_RATE] - mean[BIAS_YAW] if known else 0.0
@@ -197,10 +195,10 @@ def gnss_start(state, sample, car, noise, out):
 
 @inlined
 def limit_errors(mean, noise):
-    """Hold the sensor errors inside six times their size."""
+    """Hold the sensor errors inside `MOST_BIAS` times their size."""
     sizes = (noise.gyro_bias, noise.accel_bias, noise.accel_bias, noise.scale)
     for i in range(4):
-        most = 6.0 * sizes[i]
+        most = MOST_BIAS * sizes[i]
         mean[BIAS_YAW + i] = min(max(mean[BIAS_YAW + i], -most), most)
 
 
@@ -217,7 +215,7 @@ def gnss_kinematic_step(state, sample, car, noise, dt, out):
     velocity_answer(state, out)
 
 
-@njit(cache=True)
+@kernel
 def gnss_kinematic_run(state, samples, car, noise, dt, out):
     """All samples of the kinematic filter."""
     for k in range(samples.shape[0]):

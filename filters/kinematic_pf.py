@@ -1,8 +1,9 @@
 """Particle filter on the kinematic model.
 
-State [vx, vy]; inputs ax, ay and yaw rate; weights from vx (Atheupe 2023, eq. 18 to 21 and section 7.2). Model and
-noise are those of `crosscomb.filters.kinematic_kf`, which solves this linear problem exactly: with many particles
-both give the same answer. It is here because the paper compares them, not because it can be better.
+State [vx, vy, ax bias, ay bias]; inputs ax, ay and yaw rate; weights from vx and from a rolling rear axle (Atheupe
+2023, eq. 18 to 21 and section 7.2). Model and noise are those of `crosscomb.filters.kinematic_kf`, which solves this
+linear problem exactly: with many particles both give the same answer. It is here because the paper compares them, not
+because it can be better.
 """
 
 from __future__ import annotations
@@ -27,9 +28,16 @@ from crosscomb.filters.base import (
     below_gate,
     low_speed_answer,
 )  # fmt: skip
-from crosscomb.filters.kinematic_kf import KinematicNoise, forgetting
-from crosscomb.filters.particles import LEAST_STD, RESAMPLE_BELOW, UNIFORM, cloud, draw_uniform, normalise
+from crosscomb.filters.kinematic_kf import (
+    BIAS_AX,
+    BIAS_AY,
+    KinematicNoise,
+    inertial_known,
+    rolling_measurement,
+)
+from crosscomb.filters.particles import LEAST_STD, RESAMPLE_BELOW, cloud, draw_uniform, normalise
 from crosscomb.filters.resampling import RESAMPLING, resample
+from crosscomb.models.compiled import kernel
 from crosscomb.models.kinematic import input_gain, rotation
 from crosscomb.signals import MIN_SPEED
 
@@ -37,54 +45,74 @@ from crosscomb.signals import MIN_SPEED
 class Velocities(NamedTuple):
     """State of the filter, changed in place by its kernel."""
 
-    x: np.ndarray  # (2, n) vx, vy
+    x: np.ndarray  # (4, n) vx, vy and the biases of ax and ay
     log_weights: np.ndarray  # (n,) up to a constant
     weights: np.ndarray  # (n,) sum to one
-    scratch: np.ndarray  # (2, n)
+    scratch: np.ndarray  # (4, n)
     source: np.ndarray  # (n,) int64, which particle each new one copied last
     scheme: int  # of resampling
     rng: np.random.Generator
     running: np.ndarray  # (1,) 1 above the low-speed gate
 
 
-@njit(cache=True)
+@kernel
 def first_velocities(state, vx, beta, beta_std, noise):
-    """Spread the particles uniformly, as wide as the Kalman filter's first covariance."""
+    """Spread the particles' velocities as the Kalman filter's first covariance; what they know of biases stays.
+
+    Normally distributed: with little noise on the motion the shape of the start lasts.
+    """
+    resample(state)
     x, vy = state.x, vx * math.tan(beta)
-    wide_x, wide_y = UNIFORM * noise.speed, UNIFORM * vx * beta_std
     for i in range(x.shape[1]):
-        x[0, i] = vx + wide_x * (state.rng.random() - 0.5)
-        x[1, i] = vy + wide_y * (state.rng.random() - 0.5)
-    state.log_weights[:] = 0.0
+        x[0, i] = vx + noise.speed * state.rng.standard_normal()
+        x[1, i] = vy + vx * beta_std * state.rng.standard_normal()
 
 
 @njit(cache=True)
+def drift_particles(state, noise, dt):
+    """Let the biases change over dt."""
+    x, draws = state.x, state.scratch
+    keep = math.exp(-dt / noise.bias_time)
+    shake = noise.accel_bias * math.sqrt(1.0 - keep * keep)
+    for row in range(2, 4):
+        for i in range(x.shape[1]):
+            x[row, i] = keep * x[row, i] + shake * draws[row, i]
+
+
+@kernel
 def move_velocities(state, ax, ay, yaw_rate, noise, dt):
-    """Predict every particle with held accelerations; a missing one keeps the velocity and widens it."""
-    x, draws, density, decay = state.x, state.scratch, noise.accel, forgetting(yaw_rate, noise, dt)
-    if not (math.isfinite(ax) and math.isfinite(ay) and math.isfinite(yaw_rate)):
-        ax, ay, yaw_rate, density = 0.0, 0.0, 0.0, noise.missing_accel
-    draw_uniform(state.rng, draws)
+    """Predict every particle with held accelerations; missing ones keep the velocity and widen it."""
+    x, draws, density, felt = state.x, state.scratch, noise.accel, 1.0
+    if not inertial_known(ax, ay, yaw_rate):
+        ax, ay, yaw_rate, density, felt = 0.0, 0.0, 0.0, noise.missing_accel, 0.0
     f00, f01, f10, f11 = rotation(yaw_rate, dt)
     g00, g01, g10, g11 = input_gain(yaw_rate, dt)
-    gained_x, gained_y = g00 * ax + g01 * ay, g10 * ax + g11 * ay
-    shake = density * math.sqrt(dt)
+    shake_x, shake_y = density * math.sqrt(dt), math.hypot(density, noise.ay_scale * ay) * math.sqrt(dt)
     for i in range(x.shape[1]):
-        vx, vy = x[0, i], decay * x[1, i]
+        vx, vy = x[0, i], x[1, i]
+        along, across = ax - felt * x[BIAS_AX, i], ay - felt * x[BIAS_AY, i]
         # A speed that is only held cannot tell that the car stops: no particle may reverse.
-        x[0, i] = max(f00 * vx + f01 * vy + gained_x + shake * draws[0, i], MIN_SPEED)
-        x[1, i] = f10 * vx + f11 * vy + gained_y + shake * draws[1, i]
+        x[0, i] = max(f00 * vx + f01 * vy + g00 * along + g01 * across + shake_x * draws[0, i], MIN_SPEED)
+        x[1, i] = f10 * vx + f11 * vy + g10 * along + g11 * across + shake_y * draws[1, i]
 
 
-@njit(cache=True)
-def weigh_velocities(state, vx, noise):
-    """Add the log likelihood of the measured vx to the log weights."""
-    precision = 0.5 / noise.speed**2
-    for i in range(state.weights.size):
-        state.log_weights[i] -= precision * (vx - state.x[0, i]) ** 2
+@kernel
+def weigh_velocities(state, sample, car, noise, dt):
+    """Add the log likelihood of the measured vx and of a rolling rear axle to the log weights."""
+    x, weights = state.x, state.weights
+    vx, bias_ay = 0.0, 0.0
+    for i in range(weights.size):
+        vx += weights[i] * x[0, i]
+        bias_ay += weights[i] * x[BIAS_AY, i]
+    h, rest, variance = rolling_measurement(sample, vx, bias_ay, car, noise, dt)
+    of_speed = 0.5 / noise.speed**2 if sample[VX_HELD] == 0.0 else 0.0
+    of_rear = 0.5 / variance
+    for i in range(weights.size):
+        state.log_weights[i] -= of_speed * (sample[VX] - x[0, i]) ** 2
+        state.log_weights[i] -= of_rear * (rest - h * x[0, i] - x[1, i]) ** 2
 
 
-@njit(cache=True)
+@kernel
 def weighted_slip(state):
     """Beta of the mean velocity, and its standard deviation to first order [rad]."""
     x, weights = state.x, state.weights
@@ -102,15 +130,17 @@ def weighted_slip(state):
 @njit(cache=True)
 def kinematic_particle_step(state, sample, car, noise, dt, out):
     """One sample of the filter; `out` ``(3,)`` gets beta, its standard deviation and NaN."""
+    draw_uniform(state.rng, state.scratch)
     if below_gate(sample) or state.running[0] == 0:
         low_speed_answer(sample, car, out)
+        drift_particles(state, noise, dt)
         state.running[0] = 0 if below_gate(sample) else 1
         if state.running[0] == 1:
             first_velocities(state, sample[VX], out[BETA], out[BETA_STD], noise)
         return
     move_velocities(state, sample[AX], sample[AY], sample[YAW_RATE], noise, dt)
-    if sample[VX_HELD] == 0.0:
-        weigh_velocities(state, sample[VX], noise)
+    drift_particles(state, noise, dt)
+    weigh_velocities(state, sample, car, noise, dt)
     effective = normalise(state.log_weights, state.weights)
     out[BETA], out[BETA_STD] = weighted_slip(state)
     out[NIS] = math.nan
@@ -140,6 +170,8 @@ class KinematicPF(KernelFilter):
 
     def make_state(self) -> Any:
         """Make the particles before the first sample."""
-        return Velocities(
-            **cloud(2, self.particles, self.resampling, self.seed), running=np.zeros(1, dtype=np.int64)
+        state = Velocities(
+            **cloud(4, self.particles, self.resampling, self.seed), running=np.zeros(1, dtype=np.int64)
         )
+        state.x[2:] = self.noise.accel_bias * state.rng.standard_normal((2, self.particles))
+        return state

@@ -20,8 +20,6 @@ import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from numba import njit
-
 from crosscomb.filters.base import (
     AX,
     AY,
@@ -33,29 +31,35 @@ from crosscomb.filters.base import (
     STEER_REAR,
     VX,
     YAW_RATE,
+    Gaussian,
     KernelFilter,
-    propagate,
-    scalar_update,
 )  # fmt: skip
 from crosscomb.filters.kinematic_kf import (
+    blind_update,
+    inertial_known,
     kinematic_predict,
     kinematic_start,
+    kinematic_state,
     kinematic_update,
-    straight_share,
+    limit_biases,
+    limit_slip,
+    propagate_biased,
     velocity_answer,
+    velocity_update,
 )
-from crosscomb.models.compiled import inlined
+from crosscomb.models.compiled import inlined, kernel
 from crosscomb.models.kinematic import input_gain
 from crosscomb.models.single_track import single_track_rates, stable_substeps
-from crosscomb.signals import MIN_SPEED
 
 
 class ZeroYawNoise(NamedTuple):
     """Noise settings of the filter with a pseudo-measurement; densities, so that they hold at every rate."""
 
-    accel: float = 0.5  # accelerometer error, bank and slope included [m/s^2 per sqrt(Hz)]
-    speed: float = 0.3  # measured vx [m/s]
-    relaxation: float = 0.1  # rate at which vy forgets in straight driving [1/s]
+    accel: float = 0.15  # accelerometer error beside the bias [m/s^2 per sqrt(Hz)]
+    ay_scale: float = 0.03  # the same over ay, of scale and body roll [1 per sqrt(Hz)]
+    speed: float = 0.1  # measured vx [m/s]
+    accel_bias: float = 0.3  # size of the accelerometer biases, bank and slope included [m/s^2]
+    bias_time: float = 100.0  # time in which they change [s]
     missing_accel: float = 3.0  # accelerometer error while a channel is missing [m/s^2 per sqrt(Hz)]
     turning: float = 0.1  # yaw rate from which on the car turns [rad/s]
     pseudo: float = 0.012  # error of the steady beta, counted once per second [rad]
@@ -64,11 +68,27 @@ class ZeroYawNoise(NamedTuple):
 class BlendNoise(NamedTuple):
     """Noise settings of the blending filter; densities, so that they hold at every rate."""
 
-    accel: float = 0.5  # accelerometer error, bank and slope included [m/s^2 per sqrt(Hz)]
-    speed: float = 0.3  # measured vx [m/s]
-    relaxation: float = 0.1  # rate at which vy forgets in straight driving [1/s]
+    accel: float = 0.15  # accelerometer error beside the bias [m/s^2 per sqrt(Hz)]
+    ay_scale: float = 0.03  # the same over ay, of scale and body roll [1 per sqrt(Hz)]
+    speed: float = 0.1  # measured vx [m/s]
+    accel_bias: float = 0.3  # size of the accelerometer biases, bank and slope included [m/s^2]
+    bias_time: float = 100.0  # time in which they change [s]
     missing_accel: float = 3.0  # accelerometer error while a channel is missing [m/s^2 per sqrt(Hz)]
     turning: float = 0.1  # yaw rate from which on the car turns [rad/s]
+
+
+LEAST_SHARE = 1e-3
+"""A smaller share of straight driving than this is none."""
+
+
+@inlined
+def straight_share(yaw_rate, turning):
+    """Share in which driving counts as straight, 1 at zero yaw rate; 0 where the yaw rate is not known."""
+    if not math.isfinite(yaw_rate):
+        return 0.0
+    ratio = yaw_rate / turning
+    share = math.exp(-ratio * ratio)
+    return share if share > LEAST_SHARE else 0.0
 
 
 @inlined
@@ -82,33 +102,27 @@ def steady_slip(sample, car):
 
 
 @inlined
-def limit_slip(mean):
-    """Hold the state [vx, vy] where beta stays inside `MAX_BETA`."""
-    mean[0] = max(mean[0], 0.5 * MIN_SPEED)
-    most = math.tan(MAX_BETA) * mean[0]
-    mean[1] = min(max(mean[1], -most), most)
-
-
-@inlined
 def zero_yaw_step(state, sample, car, noise, dt, out):
     """One sample of the measuring filter; `out` ``(3,)`` gets beta, its standard deviation and the NIS."""
-    if kinematic_start(state, sample, car, noise, out):
+    if kinematic_start(state, sample, car, noise, dt, out):
         return
-    kinematic_predict(state, sample[AX], sample[AY], sample[YAW_RATE], noise, dt)
+    kinematic_predict(state, sample[AX], sample[AY], sample[YAW_RATE], 1.0, 0.0, noise, dt)
     nis = kinematic_update(state, sample, noise)
     share = straight_share(sample[YAW_RATE], noise.turning)
     if share > 0.0 and math.isfinite(sample[AY]):
         # Its error lasts, so it counts as one measurement per second, spread over the samples.
         variance = (noise.pseudo * sample[VX]) ** 2 / (dt * share)
         pseudo = sample[VX] * math.tan(min(max(steady_slip(sample, car), -MAX_BETA), MAX_BETA))
-        part = scalar_update(state, 0.0, 1.0, pseudo - state.mean[1], variance)
+        part, _ = velocity_update(state, 0.0, 1.0, pseudo - state.mean[1], variance)
         nis = part if math.isnan(nis) else nis + part
+    blind_update(state, sample[YAW_RATE], dt)
     limit_slip(state.mean)
+    limit_biases(state.mean, noise)
     out[NIS] = nis
     velocity_answer(state, out)
 
 
-@njit(cache=True)
+@kernel
 def zero_yaw_run(state, samples, car, noise, dt, out):
     """All samples of the pseudo-measuring filter."""
     for k in range(samples.shape[0]):
@@ -132,30 +146,32 @@ def blend_predict(state, sample, share, car, noise, dt):
         _, along, _, across = input_gain(-yaw_rate, h)
         slope = share * jacobian[7] / (mean[0] * mean[0] + mean[1] * mean[1])
         slope_x, slope_y = -slope * mean[1], slope * mean[0]
-        propagate(
+        propagate_biased(
             state.cov, 1.0 + along * slope_x, along * slope_y, across * slope_x, 1.0 + across * slope_y,
-            0.0, 0.0, 0.0,
+            0.0, 0.0, 0.0, 0.0, 0.0, 0.0,
         )  # fmt: skip
-        kinematic_predict(state, ax, (1.0 - share) * ay + share * ay_tyres, yaw_rate, noise, h)
+        kinematic_predict(state, ax, ay, yaw_rate, 1.0 - share, share * ay_tyres, noise, h)
         limit_slip(mean)
 
 
 @inlined
 def blend_step(state, sample, car, noise, dt, out):
     """One sample of the blending filter; `out` ``(3,)`` gets beta, its standard deviation and the NIS."""
-    if kinematic_start(state, sample, car, noise, out):
+    if kinematic_start(state, sample, car, noise, dt, out):
         return
     share = straight_share(sample[YAW_RATE], noise.turning)
-    if share > 0.0 and math.isfinite(sample[AX] + sample[AY]):
+    if share > 0.0 and inertial_known(sample[AX], sample[AY], sample[YAW_RATE]):
         blend_predict(state, sample, share, car, noise, dt)
     else:
-        kinematic_predict(state, sample[AX], sample[AY], sample[YAW_RATE], noise, dt)
+        kinematic_predict(state, sample[AX], sample[AY], sample[YAW_RATE], 1.0, 0.0, noise, dt)
     out[NIS] = kinematic_update(state, sample, noise)
+    blind_update(state, sample[YAW_RATE], dt)
     limit_slip(state.mean)
+    limit_biases(state.mean, noise)
     velocity_answer(state, out)
 
 
-@njit(cache=True)
+@kernel
 def blend_run(state, samples, car, noise, dt, out):
     """All samples of the blending filter."""
     for k in range(samples.shape[0]):
@@ -171,6 +187,10 @@ class ZeroYawKF(KernelFilter):
     step_kernel = staticmethod(zero_yaw_step)
     run_kernel = staticmethod(zero_yaw_run)
 
+    def make_state(self) -> Gaussian:
+        """Make an unstarted filter."""
+        return kinematic_state(self.noise)
+
 
 @dataclass(frozen=True)
 class BlendKF(KernelFilter):
@@ -178,6 +198,10 @@ class BlendKF(KernelFilter):
 
     noise: BlendNoise = BlendNoise()
 
-    told_by_likelihood = ("accel", "speed", "relaxation")
+    told_by_likelihood = ("accel", "speed", "accel_bias")
     step_kernel = staticmethod(blend_step)
     run_kernel = staticmethod(blend_run)
+
+    def make_state(self) -> Gaussian:
+        """Make an unstarted filter."""
+        return kinematic_state(self.noise)

@@ -22,7 +22,6 @@ from importlib import resources
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
-from numba import njit
 
 from crosscomb.errors import UsageError
 from crosscomb.filters.base import (
@@ -39,6 +38,7 @@ from crosscomb.filters.base import (
     below_gate,
     low_speed_answer,
 )  # fmt: skip
+from crosscomb.models.compiled import kernel
 
 COLUMNS = (AY, YAW_RATE, STEER, VX)
 """Columns of a sample that are the network's inputs, in order."""
@@ -99,7 +99,7 @@ class NetworkState(NamedTuple):
     running: np.ndarray  # (1,)
 
 
-@njit(cache=True)
+@kernel
 def evaluate(inputs, net):
     """Output of the network [rad] and how far its inputs lie outside the training, in standard deviations."""
     total, outside = net.output_bias, 0.0
@@ -113,14 +113,14 @@ def evaluate(inputs, net):
     return net.beta_scale * total, outside
 
 
-@njit(cache=True)
+@kernel
 def remember(state, beta):
     """Keep an answer for the feedback."""
     state.past[state.at[0]] = beta
     state.at[0] = (state.at[0] + 1) % PAST
 
 
-@njit(cache=True)
+@kernel
 def take_inputs(state, sample, net, dt):
     """Take the inputs that are there, keep the others, and fetch the fed-back beta."""
     inputs, complete = state.inputs, sample[STEER_HELD] == 0.0
@@ -135,7 +135,7 @@ def take_inputs(state, sample, net, dt):
     inputs[4] = state.past[(state.at[0] - age) % PAST]
 
 
-@njit(cache=True)
+@kernel
 def network_step(state, sample, net, noise, dt, out):
     """One sample of the network; `out` ``(3,)`` gets beta, its stated error and NaN."""
     take_inputs(state, sample, net, dt)
@@ -151,7 +151,7 @@ def network_step(state, sample, net, noise, dt, out):
     remember(state, out[BETA])
 
 
-@njit(cache=True)
+@kernel
 def network_run(state, samples, net, noise, dt, out):
     """All samples of the network."""
     for k in range(samples.shape[0]):

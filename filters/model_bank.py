@@ -36,6 +36,7 @@ from crosscomb.filters.base import (
     propagate,
     scalar_update,
 )  # fmt: skip
+from crosscomb.filters.dense import copy_into
 from crosscomb.filters.dynamic_ekf import DynamicNoise, dynamic_predict, dynamic_update
 from crosscomb.models.compiled import inlined
 from crosscomb.models.single_track import SingleTrack, body_rates, slip_rate_slope
@@ -77,6 +78,8 @@ class Bank(NamedTuple):
     nis: np.ndarray  # (3,)
     mixed_mean: np.ndarray  # (3, 2) scratch
     mixed_cov: np.ndarray  # (3, 2, 2) scratch
+    prior: np.ndarray  # (3,) scratch
+    weights: np.ndarray  # (3,) scratch
     running: np.ndarray  # (1,)
 
 
@@ -188,5 +191,5 @@ def bank_start(bank, sample, cars, noise, out):
         member.cov[0, 0], member.cov[0, 1], member.cov[1, 0] = noise.dynamic.yaw_rate**2, 0.0, 0.0
         member.cov[1, 1] = out[BETA_STD] ** 2
     bank.probability[0], bank.probability[1], bank.probability[2] = model_shares(noise)
-    out[3:] = bank.probability
+    copy_into(out[3:], bank.probability)
     return True

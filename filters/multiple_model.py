@@ -21,7 +21,6 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numba import njit
 
 from crosscomb.filters.base import (
     BETA,
@@ -30,6 +29,7 @@ from crosscomb.filters.base import (
     KernelFilter,
     gaussian,
 )  # fmt: skip
+from crosscomb.filters.dense import copy_into
 from crosscomb.filters.model_bank import (
     MODELS,
     Bank,
@@ -40,7 +40,7 @@ from crosscomb.filters.model_bank import (
     model_shares,
     step_models,
 )  # fmt: skip
-from crosscomb.models.compiled import inlined
+from crosscomb.models.compiled import inlined, kernel
 from crosscomb.models.single_track import single_track
 
 
@@ -63,12 +63,11 @@ def weigh(bank, prior, noise, dt):
 
 
 @inlined
-def interact(bank, noise, dt, prior):
-    """Mix the states as the models may have changed (IMM); `prior` (3,) gets the predicted probabilities."""
-    members = (bank.high, bank.low, bank.kinematic)
+def interact(bank, noise, dt):
+    """Mix the states as the models may have changed (IMM); `prior` of the bank gets the predicted probabilities."""
+    members, prior, weights = (bank.high, bank.low, bank.kinematic), bank.prior, bank.weights
     stay = math.exp(-dt / noise.stay)
     shares = model_shares(noise)
-    weights = np.empty(MODELS)
     for j in range(MODELS):
         # Who does not stay goes to any model by its share: the shares are the chain's steady state.
         change = (1.0 - stay) * shares[j]
@@ -78,8 +77,9 @@ def interact(bank, noise, dt, prior):
         weights[j] = 1.0 - (weights.sum() - weights[j])
         combine(bank, weights, bank.mixed_mean[j], bank.mixed_cov[j])
     for j in range(MODELS):
-        members[j].mean[:] = bank.mixed_mean[j]
-        members[j].cov[:, :] = bank.mixed_cov[j]
+        copy_into(members[j].mean, bank.mixed_mean[j])
+        for i in range(2):
+            copy_into(members[j].cov[i], bank.mixed_cov[j, i])
 
 
 @inlined
@@ -94,7 +94,7 @@ def bank_answer(bank, out):
             nis += bank.probability[i] * bank.nis[i]
             total += bank.probability[i]
     out[NIS] = nis / total if total > 0.0 else math.nan
-    out[3:] = bank.probability
+    copy_into(out[3:], bank.probability)
 
 
 @inlined
@@ -102,10 +102,9 @@ def imm_step(bank, sample, cars, noise, dt, out):
     """One sample of the IMM; `out` ``(6,)``: beta, its standard deviation, the NIS, the probabilities."""
     if bank_start(bank, sample, cars, noise, out):
         return
-    prior = np.empty(MODELS)
-    interact(bank, noise, dt, prior)
+    interact(bank, noise, dt)
     step_models(bank, sample, cars, noise, dt)
-    weigh(bank, prior, noise, dt)
+    weigh(bank, bank.prior, noise, dt)
     bank_answer(bank, out)
 
 
@@ -122,14 +121,14 @@ def mmae_step(bank, sample, cars, noise, dt, out):
     bank_answer(bank, out)
 
 
-@njit(cache=True)
+@kernel
 def imm_run(bank, samples, cars, noise, dt, out):
     """All samples of the IMM."""
     for k in range(samples.shape[0]):
         imm_step(bank, samples[k], cars, noise, dt, out[k])
 
 
-@njit(cache=True)
+@kernel
 def mmae_run(bank, samples, cars, noise, dt, out):
     """All samples of the MMAE."""
     for k in range(samples.shape[0]):
@@ -154,7 +153,8 @@ class _Bank(KernelFilter):
         return Bank(
             gaussian(), gaussian(), gaussian(), np.full(MODELS,
             1.0 / MODELS), np.zeros(MODELS), np.zeros(MODELS),
-            np.zeros((MODELS, 2)), np.zeros((MODELS, 2, 2)), np.zeros(1, dtype=np.int64),
+            np.zeros((MODELS, 2)), np.zeros((MODELS, 2, 2)), np.zeros(MODELS), np.zeros(MODELS),
+            np.zeros(1, dtype=np.int64),
         )  # fmt: skip
 
 

@@ -29,7 +29,6 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 
 from crosscomb.filters.base import (
     AX,
@@ -49,7 +48,7 @@ from crosscomb.filters.base import (
     below_gate,
     low_speed_answer,
 )  # fmt: skip
-from crosscomb.models.compiled import inlined
+from crosscomb.models.compiled import inlined, kernel
 from crosscomb.models.linear_single_track import linear_single_track_rates
 from crosscomb.models.single_track import single_track_rates, stable_substeps
 
@@ -215,21 +214,21 @@ def sliding_step(state, sample, car, settings, dt, out):
     nonlinear_step(state, sample, car, settings, (settings.yaw_layer, settings.ay_layer), dt, out)
 
 
-@njit(cache=True)
+@kernel
 def luenberger_run(state, samples, car, settings, dt, out):
     """All samples of the linear observer."""
     for k in range(samples.shape[0]):
         luenberger_step(state, samples[k], car, settings, dt, out[k])
 
 
-@njit(cache=True)
+@kernel
 def extended_run(state, samples, car, settings, dt, out):
     """All samples of the extended observer."""
     for k in range(samples.shape[0]):
         extended_step(state, samples[k], car, settings, dt, out[k])
 
 
-@njit(cache=True)
+@kernel
 def sliding_run(state, samples, car, settings, dt, out):
     """All samples of the sliding-mode observer."""
     for k in range(samples.shape[0]):

@@ -10,9 +10,9 @@ import math
 from typing import Any
 
 import numpy as np
-from numba import njit
 
 from crosscomb.filters.resampling import RESAMPLING
+from crosscomb.models.compiled import kernel
 
 UNIFORM = math.sqrt(12.0)  # width of a uniform distribution of unit variance
 
@@ -47,7 +47,7 @@ def cloud(states: int, particles: int, resampling: str, seed: int) -> dict[str, 
     }
 
 
-@njit(cache=True)
+@kernel
 def draw_uniform(rng, noise):
     """Fill ``(states, n)``, an even number of states, with uniform noise of zero mean and unit variance.
 
@@ -66,13 +66,19 @@ def draw_uniform(rng, noise):
             noise[row + pairs, i] = UNIFORM * (scaled - whole - 0.5)
 
 
-@njit(cache=True)
+@kernel
+def largest(values):
+    """Largest of some numbers ``(n,)``."""
+    best = -math.inf
+    for i in range(values.size):
+        best = max(best, values[i])
+    return best
+
+
+@kernel
 def normalise(log_weights, weights):
     """Turn log weights into weights that sum to one; give the effective sample size."""
-    best = -math.inf
-    for i in range(weights.size):
-        best = max(best, log_weights[i])
-    total, squares = 0.0, 0.0
+    best, total, squares = largest(log_weights), 0.0, 0.0
     for i in range(weights.size):
         log_weights[i] -= best
         weights[i] = math.exp(log_weights[i])
@@ -83,17 +89,16 @@ def normalise(log_weights, weights):
     return total * total / squares
 
 
-@njit(cache=True)
+@kernel
 def log_sum(log_weights):
     """Log of the sum of the weights."""
-    best = np.max(log_weights)
-    total = 0.0
+    best, total = largest(log_weights), 0.0
     for i in range(log_weights.size):
         total += math.exp(log_weights[i] - best)
     return best + math.log(total)
 
 
-@njit(cache=True)
+@kernel
 def weighted_beta(particles):
     """Mean and standard deviation of beta over the weighted particles [rad] (Atheupe 2023, eq. 16)."""
     beta, weights = particles.x[1], particles.weights

@@ -22,7 +22,6 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from crosscomb.filters.base import NIS
 from crosscomb.filters.dense import joseph_update_3, propagate_3
@@ -40,7 +39,7 @@ from crosscomb.filters.planar import (
     set_sample,
     substeps,
 )  # fmt: skip
-from crosscomb.models.compiled import inlined
+from crosscomb.models.compiled import inlined, kernel
 from crosscomb.models.planar import Contacts, contacts, planar_jacobian
 
 
@@ -161,7 +160,7 @@ def planar_ekf_step(state, sample, car, noise, dt, out):
     answer(state.mean, state.cov, out)
 
 
-@njit(cache=True)
+@kernel
 def planar_ekf_run(state, samples, car, noise, dt, out):
     """All samples of the first-order and iterated filter."""
     for k in range(samples.shape[0]):

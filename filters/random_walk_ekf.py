@@ -18,7 +18,6 @@ from functools import cached_property
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
-from numba import njit
 
 from crosscomb.filters.base import (
     AX,
@@ -37,8 +36,9 @@ from crosscomb.filters.base import (
     below_gate,
     low_speed_answer,
 )  # fmt: skip
+from crosscomb.filters.dense import copy_into
 from crosscomb.filters.leading import consider_update, propagate_leading
-from crosscomb.models.compiled import inlined
+from crosscomb.models.compiled import inlined, kernel
 from crosscomb.models.kinematic import slip_of_rolling_rear
 from crosscomb.models.random_walk import random_walk_jacobian
 from crosscomb.models.single_track import SingleTrack, single_track
@@ -161,7 +161,7 @@ def walk_update(state, sample, car, noise, dt):
     # ax and ay are linear in the forces, so their rows do not depend on the estimate.
     for measured, i in ((sample[AX], 2), (sample[AY], 3)):
         if math.isfinite(measured):
-            row[:] = jacobian[i]
+            copy_into(row, jacobian[i])
             part = walk_measure(state, measured, noise.accel**2)
             nis = part if math.isnan(nis) else nis + part
     row[:] = 0.0
@@ -217,7 +217,7 @@ def walk_step(state, sample, car, noise, dt, out):
     out[FRICTION_USE] = friction_use(mean[0], max(sample[VX], 0.0), track)
 
 
-@njit(cache=True)
+@kernel
 def walk_run(state, samples, car, noise, dt, out):
     """All samples."""
     for k in range(samples.shape[0]):

@@ -38,6 +38,7 @@ from crosscomb.filters.base import (
 from crosscomb.filters.dynamic_ekf import DynamicNoise, dynamic_step
 from crosscomb.filters.particles import RESAMPLE_BELOW, cloud, draw_uniform, log_sum, normalise, weighted_beta
 from crosscomb.filters.resampling import RESAMPLING, resample
+from crosscomb.models.compiled import kernel
 from crosscomb.models.single_track import body_rates
 
 
@@ -79,7 +80,7 @@ FAR_OFF = 0.5 * 5.0**2
 """No measurement counts as further off than five standard deviations: a wild one would leave one particle."""
 
 
-@njit(cache=True)
+@kernel
 def sin_cos(angle):
     """Sine and cosine for |angle| <= `MAX_BETA`, by power series to 1e-11: inlines into vector instructions."""
     y = angle * angle
@@ -92,7 +93,7 @@ def sin_cos(angle):
     return angle * sine, cosine
 
 
-@njit(cache=True)
+@kernel
 def first_guess(sample, beta, car):
     """State that beta and a sample's yaw rate, ay and longitudinal forces suggest."""
     yaw_rate = sample[YAW_RATE] if math.isfinite(sample[YAW_RATE]) else 0.0
@@ -101,7 +102,7 @@ def first_guess(sample, beta, car):
     return yaw_rate, beta, sample[FXF], sample[FXR], front * side, (1.0 - front) * side
 
 
-@njit(cache=True)
+@kernel
 def first_particles(particles, sample, beta, car):
     """Spread the particles uniformly around the first guess."""
     x, rng = particles.x, particles.rng
@@ -113,7 +114,7 @@ def first_particles(particles, sample, beta, car):
     particles.log_weights[:] = 0.0
 
 
-@njit(cache=True)
+@kernel
 def slip_precision(beta_std, noise, dt):
     """Half the precision of the EKF's beta as a pseudo-measurement, with the EKF's own doubt beta_std [rad].
 
@@ -123,7 +124,7 @@ def slip_precision(beta_std, noise, dt):
     return 0.5 * dt / (noise.pseudo**2 + doubt * doubt)
 
 
-@njit(cache=True)
+@kernel
 def move_and_weigh(particles, sample, beta_ekf, std_ekf, car, noise, dt):
     """Predict every particle over dt and add its log likelihood to its log weight."""
     x, log_weights, draws = particles.x, particles.log_weights, particles.scratch
@@ -160,7 +161,7 @@ def move_and_weigh(particles, sample, beta_ekf, std_ekf, car, noise, dt):
         )
 
 
-@njit(cache=True)
+@kernel
 def log_scale(sample, noise):
     """Log of what the densities of the measurements that are there are divided by."""
     total = 0.0
@@ -172,7 +173,7 @@ def log_scale(sample, noise):
     return total
 
 
-@njit(cache=True)
+@kernel
 def particle_answer(particles, sample, car, noise, dt, out):
     """One sample of the particle filter without resampling; give the effective sample size, inf at low speed."""
     dynamic_step(particles.ekf, sample, car, noise.ekf, dt, particles.ekf_out)

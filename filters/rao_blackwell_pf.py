@@ -47,6 +47,7 @@ from crosscomb.filters.dynamic_ekf import dynamic_step
 from crosscomb.filters.particles import RESAMPLE_BELOW, cloud, normalise, weighted_beta
 from crosscomb.filters.random_walk_pf import FIRST_SPREAD, ParticleNoise, first_guess, sin_cos, slip_precision
 from crosscomb.filters.resampling import RESAMPLING, resample
+from crosscomb.models.compiled import kernel
 from crosscomb.models.random_walk import random_walk_jacobian
 from crosscomb.models.single_track import body_rates
 
@@ -81,7 +82,7 @@ class Blackwell(NamedTuple):
     ekf_out: np.ndarray  # (3,)
 
 
-@njit(cache=True)
+@kernel
 def blackwell_start(state, sample, beta, car):
     """Spread beta uniformly around the first guess, and give the other states covariances as wide."""
     x, mean, cov = state.x, state.mean, state.cov
@@ -97,7 +98,7 @@ def blackwell_start(state, sample, beta, car):
     state.log_weights[:] = 0.0
 
 
-@njit(cache=True)
+@kernel
 def learn(state, by, row, variance):
     """Update the shared covariance with one scalar, and keep its gain and precision for the particles."""
     gain = state.gains[by]
@@ -106,7 +107,7 @@ def learn(state, by, row, variance):
     state.precisions[by] = joseph_update(gain, state.cov, row, 1.0, variance, state.work)
 
 
-@njit(cache=True)
+@kernel
 def share_prediction(state, sample, car, noise, dt):
     """Predict the shared covariance over dt: forces, what the draw of beta tells, yaw rate."""
     mean, cov, slopes, gain = state.mean, state.cov, state.slopes, state.gains[BY_BETA]
@@ -135,7 +136,7 @@ def share_prediction(state, sample, car, noise, dt):
     cov[0, 0] += variance
 
 
-@njit(cache=True)
+@kernel
 def measure(state, by, row, measured, std):
     """Update what is shared with one measurement; give its NIS, 0 where it is missing or too far off to be true."""
     mean, cov, gain = state.mean, state.cov, state.gains[by]
@@ -154,7 +155,7 @@ def measure(state, by, row, measured, std):
     return innovation * innovation * state.precisions[by]
 
 
-@njit(cache=True)
+@kernel
 def share_update(state, sample, noise, dt):
     """Update what is shared with yaw rate, ax and ay, one after the other; give the NIS, NaN without any.
 
@@ -172,19 +173,19 @@ def share_update(state, sample, noise, dt):
     return nis if used > 0.0 else math.nan
 
 
-@njit(cache=True)
+@kernel
 def six(row):
     """The row as plain numbers: the compiler need not fear that writing particles changes them."""
     return row[0], row[1], row[2], row[3], row[4], row[5]
 
 
-@njit(cache=True)
+@kernel
 def along(row, gain):
     """What a change of the forces by a gain does to an acceleration with these slopes."""
     return row[2] * gain[2] + row[3] * gain[3] + row[4] * gain[4] + row[5] * gain[5]
 
 
-@njit(cache=True)
+@kernel
 def draw_and_weigh(state, sample, beta_ekf, std_ekf, car, noise, dt):
     """Draw each particle's beta, update its means with the shared gains, and add its log likelihood."""
     x, log_weights, draws, gains = state.x, state.log_weights, state.scratch[0], state.gains
@@ -229,7 +230,7 @@ def draw_and_weigh(state, sample, beta_ekf, std_ekf, car, noise, dt):
         )
 
 
-@njit(cache=True)
+@kernel
 def take_means(state):
     """Mean of each state over the weighted particles."""
     x, weights = state.x, state.weights

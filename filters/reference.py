@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from filterpy.kalman import ExtendedKalmanFilter, KalmanFilter
@@ -16,16 +17,85 @@ from filterpy.monte_carlo import systematic_resample
 from crosscomb.filters import base
 from crosscomb.filters.base import Estimate, Inputs
 from crosscomb.filters.dynamic_ekf import DynamicEKF
-from crosscomb.filters.kinematic_kf import BLIND_RELAXATION, LEAST_SHARE, KinematicKF
+from crosscomb.filters.kinematic_kf import (
+    MOST_ACCEL,
+    MOST_BIAS,
+    MOST_YAW_RATE,
+    KinematicKF,
+    rolling_measurement,
+)
 from crosscomb.filters.random_walk_pf import FAR_OFF, FIRST_SPREAD, MOST_DOUBT, RandomWalkPF
 from crosscomb.models.kinematic import input_gain, rotation
 from crosscomb.models.single_track import SingleTrack, body_rates, single_track_rates, stable_substeps
 from crosscomb.signals import MIN_SPEED
 
 
-def _straight(yaw_rate: float, turning: float) -> float:
-    share = math.exp(-((yaw_rate / turning) ** 2))
-    return share if share > LEAST_SHARE else 0.0
+class BiasedKalman(KalmanFilter):
+    """filterpy's filter with the states and the noise of `KinematicKF`: vx, vy and the accelerometer biases."""
+
+    def __init__(self, noise: Any, dt: float) -> None:
+        super().__init__(dim_x=4, dim_z=1, dim_u=2)
+        self.noise, self.dt = noise, dt
+        self.x, self.P = np.zeros((4, 1)), noise.accel_bias**2 * np.eye(4)
+        self.keep = np.diag([1.0, 1.0, *[math.exp(-dt / noise.bias_time)] * 2])
+        self.drift = noise.accel_bias**2 * (np.eye(4) - self.keep**2)
+
+    def rest(self) -> None:
+        """Let the biases drift over a sample without motion."""
+        self.predict(u=np.zeros((2, 1)), B=np.zeros((4, 2)), F=self.keep, Q=self.drift)
+
+    def begin(self, sample: np.ndarray, beta: float, beta_std: float) -> None:
+        """Start the motion on a sample."""
+        vx = sample[base.VX]
+        self.x[:2] = [[vx], [vx * math.tan(beta)]]
+        self.P[:2, :] = self.P[:, :2] = 0.0
+        self.P[0, 0], self.P[1, 1] = self.noise.speed**2, (vx * beta_std) ** 2
+
+    def move(self, sample: np.ndarray) -> None:
+        """Predict over a sample."""
+        ax, ay, yaw_rate = sample[[base.AX, base.AY, base.YAW_RATE]].tolist()
+        known = abs(ax) < MOST_ACCEL and abs(ay) < MOST_ACCEL and abs(yaw_rate) < MOST_YAW_RATE
+        if not known:
+            ax, ay, yaw_rate = 0.0, 0.0, 0.0
+        gain, f = np.zeros((4, 2)), self.keep.copy()
+        gain[:2] = np.reshape(input_gain(yaw_rate, self.dt), (2, 2))
+        f[:2, :2] = np.reshape(rotation(yaw_rate, self.dt), (2, 2))
+        if known:
+            f[:, 2:] -= gain
+        density = self.noise.accel if known else self.noise.missing_accel
+        across = math.hypot(density, self.noise.ay_scale * ay)
+        added = self.drift + self.dt * np.diag([density, across, 0.0, 0.0]) ** 2
+        self.predict(u=np.array([[ax], [ay]]), B=gain, F=f, Q=added)
+
+    def measure(self, row: list[float], value: float, variance: float) -> float:
+        """Update with a measurement of vx and vy; give its NIS."""
+        self.update(value, R=np.array([[variance]]), H=np.array([[*row, 0.0, 0.0]]))
+        return _nis(self)
+
+    def measure_speed(self, sample: np.ndarray) -> float:
+        """Update with vx, where it is there; give its NIS."""
+        if sample[base.VX_HELD]:
+            self.x[0] = max(self.x[0], MIN_SPEED)
+            return math.nan
+        return self.measure([1.0, 0.0], sample[base.VX], self.noise.speed**2)
+
+    def limit_slip(self) -> None:
+        """Hold the velocity inside its bounds."""
+        self.x[0] = max(self.x[0], 0.5 * MIN_SPEED)
+        most = math.tan(base.MAX_BETA) * self.x[0]
+        self.x[1] = np.clip(self.x[1], -most, most)
+
+    def limit_biases(self) -> None:
+        """Hold the biases inside their bounds."""
+        most = MOST_BIAS * self.noise.accel_bias
+        self.x[2:] = np.clip(self.x[2:], -most, most)
+
+
+def slip_of(kf: KalmanFilter | ExtendedKalmanFilter) -> tuple[float, float]:
+    """Sideslip angle of a filter whose first states are vx and vy, and its standard deviation [rad]."""
+    vx, vy = np.ravel(kf.x)[:2]
+    gradient = np.array([-vy, vx]) / (vx**2 + vy**2)
+    return math.atan2(vy, vx), math.sqrt(gradient @ kf.P[:2, :2] @ gradient)
 
 
 def reference_kinematic_kf(estimator: KinematicKF, inputs: Inputs) -> Estimate:
@@ -36,41 +106,21 @@ def reference_kinematic_kf(estimator: KinematicKF, inputs: Inputs) -> Estimate:
     estimator : KinematicKF
     inputs : Inputs
     """
-    noise, dt = estimator.noise, inputs.dt
-    kf = KalmanFilter(dim_x=2, dim_z=1, dim_u=2)
-    kf.H = np.array([[1.0, 0.0]])
-    kf.R = np.array([[noise.speed**2]])
-
-    def start(sample: np.ndarray, beta: float, beta_std: float) -> None:
-        kf.x = np.array([[sample[base.VX]], [sample[base.VX] * math.tan(beta)]])
-        kf.P = np.diag([noise.speed**2, (sample[base.VX] * beta_std) ** 2])
+    noise, car, dt = estimator.noise, estimator.car, inputs.dt
+    kf = BiasedKalman(noise, dt)
 
     def step(sample: np.ndarray) -> tuple[float, float, float]:
-        vx, ax, ay, yaw_rate, *_ = sample.tolist()
-        density = noise.accel
-        rate = noise.relaxation * _straight(yaw_rate, noise.turning)
-        if not math.isfinite(yaw_rate):
-            rate = min(noise.relaxation, BLIND_RELAXATION)
-        forget = np.diag([1.0, math.exp(-rate * dt)])
-        if not math.isfinite(ax + ay + yaw_rate):
-            ax, ay, yaw_rate, density = 0.0, 0.0, 0.0, noise.missing_accel
-        kf.predict(
-            u=np.array([[ax], [ay]]),
-            B=np.array(input_gain(yaw_rate, dt)).reshape(2, 2),
-            F=np.array(rotation(yaw_rate, dt)).reshape(2, 2) @ forget,
-            Q=density**2 * dt,
-        )
-        if sample[base.VX_HELD]:
-            kf.update(None)
-            kf.x[0] = max(kf.x[0], MIN_SPEED)
-        else:
-            kf.update(vx)
-        vx, vy = kf.x[:, 0].tolist()
-        gradient = np.array([-vy, vx]) / (vx**2 + vy**2)
-        nis = math.nan if sample[base.VX_HELD] else _nis(kf)
-        return math.atan2(vy, vx), math.sqrt(gradient @ kf.P @ gradient), nis
+        kf.move(sample)
+        nis = kf.measure_speed(sample)
+        kf.limit_slip()
+        h, rest, variance = rolling_measurement(sample, kf.x[0, 0], kf.x[3, 0], car, noise, dt)
+        if math.isfinite(variance):
+            kf.measure([h, 1.0], rest, variance)
+        kf.limit_slip()
+        kf.limit_biases()
+        return *slip_of(kf), nis
 
-    return _walk(inputs, estimator.car, start, step)
+    return _walk(inputs, car, kf.begin, step, kf.rest)
 
 
 class _SingleTrackEKF(ExtendedKalmanFilter):
@@ -202,8 +252,12 @@ def _walk(
     car: SingleTrack,
     start: Callable[[np.ndarray, float, float], None],
     step: Callable[[np.ndarray], tuple[float, float, float]],
+    rest: Callable[[], None] = lambda: None,
 ) -> Estimate:
-    """Give the rolling answer until a sample above the gate starts the filter, then the filter's own."""
+    """Give the rolling answer until a sample above the gate starts the filter, then the filter's own.
+
+    `rest` is called at each sample that gets the rolling answer.
+    """
     out = np.empty((len(inputs.samples), 3))
     running = False
     for sample, answer in zip(inputs.samples, out, strict=True):
@@ -211,6 +265,7 @@ def _walk(
             answer[:] = step(sample)
             continue
         base.low_speed_answer(sample, car, answer)
+        rest()
         running = not base.below_gate(sample)
         if running:
             start(sample, answer[base.BETA], answer[base.BETA_STD])

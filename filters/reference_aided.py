@@ -10,24 +10,15 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from filterpy.kalman import ExtendedKalmanFilter, KalmanFilter
 
 from crosscomb.filters import base
 from crosscomb.filters.base import MAX_BETA, Estimate, Inputs
 from crosscomb.filters.gnss_dynamic import GnssDynamicObserver
 from crosscomb.filters.gnss_kinematic import UNKNOWN_HEADING, GnssKinematicKF
-from crosscomb.filters.kinematic_kf import LEAST_SHARE
-from crosscomb.filters.kinematic_variants import ZeroYawKF
-from crosscomb.filters.reference import _nis, _SingleTrackEKF, _walk
+from crosscomb.filters.kinematic_variants import LEAST_SHARE, ZeroYawKF
+from crosscomb.filters.reference import BiasedKalman, _nis, _SingleTrackEKF, _walk, slip_of
 from crosscomb.models.kinematic import input_gain, rotation
 from crosscomb.models.single_track import single_track_rates, stable_substeps
-
-
-def _slip_of(kf: KalmanFilter | ExtendedKalmanFilter) -> tuple[float, float]:
-    """Sideslip angle of a filter whose first states are vx and vy, and its standard deviation [rad]."""
-    vx, vy = np.ravel(kf.x)[:2]
-    gradient = np.array([-vy, vx]) / (vx**2 + vy**2)
-    return math.atan2(vy, vx), math.sqrt(gradient @ kf.P[:2, :2] @ gradient)
 
 
 def _wrapped(angle: float) -> float:
@@ -43,33 +34,22 @@ def reference_zero_yaw_kf(estimator: ZeroYawKF, inputs: Inputs) -> Estimate:
     inputs : Inputs
     """
     noise, car, dt = estimator.noise, estimator.car, inputs.dt
-    kf = KalmanFilter(dim_x=2, dim_z=2, dim_u=2)
-
-    def start(sample: np.ndarray, beta: float, beta_std: float) -> None:
-        kf.x = np.array([[sample[base.VX]], [sample[base.VX] * math.tan(beta)]])
-        kf.P = np.diag([noise.speed**2, (sample[base.VX] * beta_std) ** 2])
+    kf = BiasedKalman(noise, dt)
 
     def step(sample: np.ndarray) -> tuple[float, float, float]:
-        vx, ax, ay, yaw_rate, _, steer_rear, *_ = sample.tolist()
+        vx, _, ay, yaw_rate, _, steer_rear, *_ = sample.tolist()
+        kf.move(sample)
+        nis = kf.measure_speed(sample)
         share = math.exp(-((yaw_rate / noise.turning) ** 2))
-        share = share if share > LEAST_SHARE else 0.0
-        forget = np.diag([1.0, math.exp(-noise.relaxation * share * dt)])
-        kf.predict(
-            u=np.array([[ax], [ay]]),
-            B=np.array(input_gain(yaw_rate, dt)).reshape(2, 2),
-            F=np.array(rotation(yaw_rate, dt)).reshape(2, 2) @ forget,
-            Q=noise.accel**2 * dt,
-        )
-        rear_force = car.mass * ay * car.a / (car.a + car.b)
-        steady = steer_rear + car.b * yaw_rate / vx - rear_force / car.stiffness_rear
-        rows = 2 if share > 0.0 else 1
-        z = np.array([[vx], [vx * math.tan(steady)]])[:rows]
-        kf.dim_z = rows
-        pseudo = (noise.pseudo * vx) ** 2 / (dt * max(share, LEAST_SHARE))
-        kf.update(z, R=np.diag([noise.speed**2, pseudo][:rows]), H=np.eye(2)[:rows])
-        return *_slip_of(kf), _nis(kf)
+        if share > LEAST_SHARE:
+            rear_force = car.mass * ay * car.a / (car.a + car.b)
+            steady = steer_rear + car.b * yaw_rate / vx - rear_force / car.stiffness_rear
+            nis += kf.measure([0.0, 1.0], vx * math.tan(steady), (noise.pseudo * vx) ** 2 / (dt * share))
+        kf.limit_slip()
+        kf.limit_biases()
+        return *slip_of(kf), nis
 
-    return _walk(inputs, car, start, step)
+    return _walk(inputs, car, kf.begin, step, kf.rest)
 
 
 def reference_gnss_kinematic_kf(estimator: GnssKinematicKF, inputs: Inputs) -> Estimate:
@@ -135,7 +115,7 @@ def reference_gnss_kinematic_kf(estimator: GnssKinematicKF, inputs: Inputs) -> E
         if np.isfinite(sample[[base.GNSS_COURSE, base.HEADING]]).all():
             age[0] = 0.0
         ekf.x[3:] = np.clip(ekf.x[3:], -6.0 * sizes, 6.0 * sizes)
-        return *_slip_of(ekf), nis
+        return *slip_of(ekf), nis
 
     return _walk(inputs, estimator.car, start, step)
 

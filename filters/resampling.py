@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 
-from numba import njit
+from crosscomb.models.compiled import kernel
 
 RESAMPLING = {"systematic": 0, "stratified": 1, "multinomial": 2, "residual": 3}
 """Number of each scheme, as kernels take it."""
@@ -17,7 +17,7 @@ RESAMPLING = {"systematic": 0, "stratified": 1, "multinomial": 2, "residual": 3}
 SYSTEMATIC, STRATIFIED, MULTINOMIAL, RESIDUAL = range(4)
 
 
-@njit(cache=True)
+@kernel
 def sorted_uniforms(rng, positions):
     """Fill with independent uniform numbers in ascending order, without sorting.
 
@@ -32,7 +32,7 @@ def sorted_uniforms(rng, positions):
         positions[i] /= total
 
 
-@njit(cache=True)
+@kernel
 def pick(weights, positions, source):
     """Find the particle whose share of the cumulated weights holds each of the ascending positions."""
     last, cumulative = 0, weights[0]
@@ -43,7 +43,7 @@ def pick(weights, positions, source):
         source[i] = last
 
 
-@njit(cache=True)
+@kernel
 def copy_whole(weights, rest, source):
     """Copy each particle as often as its weight says in whole numbers; give the number of copies.
 
@@ -62,7 +62,7 @@ def copy_whole(weights, rest, source):
     return filled
 
 
-@njit(cache=True)
+@kernel
 def draw_sources(scheme, weights, rng, positions, rest, source):
     """Choose which particle each new one copies.
 
@@ -98,7 +98,7 @@ def draw_sources(scheme, weights, rng, positions, rest, source):
     pick(weights, positions, source)
 
 
-@njit(cache=True)
+@kernel
 def resample(particles):
     """Draw the particles anew by their weights, with the scheme in their state.
 

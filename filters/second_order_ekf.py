@@ -18,7 +18,6 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from crosscomb.filters.base import NIS
 from crosscomb.filters.dense import joseph_update_3, propagate_3
@@ -35,7 +34,7 @@ from crosscomb.filters.planar import (
     substeps,
 )  # fmt: skip
 from crosscomb.filters.planar_ekf import PlanarEKFState, ekf_state, update_linear
-from crosscomb.models.compiled import inlined
+from crosscomb.models.compiled import inlined, kernel
 from crosscomb.models.planar import planar_hessian, planar_jacobian
 
 
@@ -153,7 +152,7 @@ def second_order_step(state, sample, car, noise, dt, out):
     answer(ekf.mean, ekf.cov, out)
 
 
-@njit(cache=True)
+@kernel
 def second_order_run(state, samples, car, noise, dt, out):
     """All samples of the second-order filter."""
     for k in range(samples.shape[0]):

@@ -21,7 +21,6 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from crosscomb.errors import UsageError
 from crosscomb.filters.base import NIS
@@ -39,7 +38,7 @@ from crosscomb.filters.planar import (
     set_sample,
     substeps,
 )  # fmt: skip
-from crosscomb.models.compiled import inlined
+from crosscomb.models.compiled import inlined, kernel
 from crosscomb.models.planar import Contacts, contacts, planar_rates
 
 
@@ -206,7 +205,7 @@ def sigma_point_step(state, sample, car, noise, dt, out):
     answer(mean, cov, out)
 
 
-@njit(cache=True)
+@kernel
 def sigma_point_run(state, samples, car, noise, dt, out):
     """All samples of an unscented filter."""
     for k in range(samples.shape[0]):

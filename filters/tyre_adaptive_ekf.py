@@ -22,7 +22,6 @@ from functools import cached_property
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
-from numba import njit
 
 from crosscomb.filters.adaptation import Limits, TyreCar, excited, growth, parameter_limits
 from crosscomb.filters.base import (
@@ -44,7 +43,7 @@ from crosscomb.filters.base import (
     low_speed_answer,
 )  # fmt: skip
 from crosscomb.filters.leading import consider_update, propagate_leading
-from crosscomb.models.compiled import inlined
+from crosscomb.models.compiled import inlined, kernel
 from crosscomb.models.parameter_track import (
     BETA_RATE,
     BY_PARAMETER,
@@ -229,7 +228,7 @@ def tyre_step(state, sample, car, noise, dt, out):
         out[i] = mean[RATES + i - 3]
 
 
-@njit(cache=True)
+@kernel
 def tyre_run(state, samples, car, noise, dt, out):
     """All samples."""
     for k in range(samples.shape[0]):

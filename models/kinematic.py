@@ -57,13 +57,36 @@ def input_gain(yaw_rate, dt):
 
 
 @inlined
+def rolling_curvature(steer, steer_rear, wheelbase):
+    """Curvature of the path of a car that rolls without tyre slip [1/m]: its yaw rate is this times vx."""
+    return (math.tan(steer) - math.tan(steer_rear)) / wheelbase
+
+
+@inlined
+def rolling_rear(yaw_rate, steer_rear, cg_to_rear_axle):
+    """What holds while the rear axle moves along its wheels, without tyre slip: h vx + vy = rest.
+
+    Parameters
+    ----------
+    yaw_rate : float [rad/s]
+    steer_rear : float [rad]
+    cg_to_rear_axle : float [m]
+
+    Returns
+    -------
+    h : float
+    rest : float [m/s]
+    """
+    return -math.tan(steer_rear), cg_to_rear_axle * yaw_rate
+
+
+@inlined
 def slip_of_rolling_rear(steer, steer_rear, cg_to_front_axle, cg_to_rear_axle):
     """Sideslip angle of a car that rolls without tyre slip, from the steering alone [rad].
 
-    Both axles move along their wheels, so tan(beta) is the mean of tan(steer) weighted by the lever arms. The
-    answer at walking speed, where tyre slip is small and dynamic models are stiff.
+    Both axles move along their wheels. The answer at walking speed, where tyre slip is small and dynamic models
+    are stiff.
     """
-    wheelbase = cg_to_front_axle + cg_to_rear_axle
-    return math.atan(
-        (cg_to_rear_axle * math.tan(steer) + cg_to_front_axle * math.tan(steer_rear)) / wheelbase
-    )
+    curvature = rolling_curvature(steer, steer_rear, cg_to_front_axle + cg_to_rear_axle)
+    h, rest = rolling_rear(curvature, steer_rear, cg_to_rear_axle)
+    return math.atan(rest - h)

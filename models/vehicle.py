@@ -184,7 +184,9 @@ def describe(error: ValidationError) -> str:
     if first["type"] == "missing":
         return f"key {key} is missing: add it"
     message = first["msg"].removeprefix("Value error, ")
-    return f"{key}: {message} (found {first['input']!r})" if key else message
+    # A table or a list is many lines long, and the message says what is wrong in it.
+    found = "" if isinstance(first["input"], dict | list) else f" (found {first['input']!r})"
+    return f"{key}: {message}{found}" if key else message
 
 
 def shipped_vehicles() -> list[str]:

@@ -27,6 +27,7 @@ def small_artefact(car: Vehicle) -> Artefact:
         left=[1, -1, 3, -1, -1],
         right=[2, -1, 4, -1, -1],
         shares=[[1 / 3, 1 / 3, 1 / 3], [1.0, 0.0, 0.0], [0.0, 0.5, 0.5], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]],
+        picks=[0, 0, 1, 1, 2],
         lowest=[-np.pi, -0.1, -1e22, -5e-324],
         highest=[np.e, 0.7, 1e22, 2.0],
     )
@@ -55,6 +56,7 @@ def refusal(content: object) -> str:
     message = str(caught.value)
     assert "\n" not in message
     assert message.startswith("mine.json: ")
+    assert "{" not in message, "what is wrong, not all that was found"
     return message
 
 
@@ -121,6 +123,7 @@ def change(*keys: str | int, value: Any) -> Callable[[dict[str, Any]], None]:
         (change("filters", 2, "settings", "particles", value=0.5), ["random_walk_pf", "particles"]),
         (change("tree", "left", 2, value=0), ["node 2", "child"]),
         (change("tree", "right", 0, value=99), ["node 0", "child", "99"]),
+        (change("tree", "picks", 1, value=3), ["picks a class", "3"]),
         (change("tree", "feature", 2, value=4), ["node 2", "feature 4 of 4"]),
         (change("tree", "threshold", 0, value=float("nan")), ["tree.threshold.0"]),
         (change("tree", "threshold", value=[0.0]), ["differ in length"]),
@@ -166,7 +169,7 @@ def test_the_shipped_artefact_serves_any_car():
     assert artefact.vehicle is None, "it would stand in for the generic car without a warning"
     assert tuple(artefact.filter_names) == DEFAULT_FILTERS
     leaves = np.array(artefact.tree.left) < 0
-    assert len(set(np.argmax(artefact.tree.shares, axis=1)[leaves])) > 1
+    assert len(set(np.array(artefact.tree.picks)[leaves])) > 1
 
 
 def test_the_shipped_artefact_records_its_training():

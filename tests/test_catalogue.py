@@ -117,7 +117,7 @@ def test_settings_beyond_reason_are_refused():
         with pytest.raises(UsageError) as caught:
             make_filter(name, CAR, settings)
         assert words in str(caught.value)
-    assert make_filter("kinematic_kf", CAR, {"noise": {"relaxation": 0.0}}).noise.relaxation == 0.0
+    assert make_filter("kinematic_kf", CAR, {"noise": {"rear_slip": 0.0}}).noise.rear_slip == 0.0
 
 
 @pytest.mark.parametrize("name", CATALOGUE)

@@ -132,6 +132,7 @@ def test_simulate_never_overwrites_the_vehicle_file_it_reads(crosscomb, car, wri
 
 def test_train_writes_the_artefact_and_its_report(trained, data_set):
     written = {"mine.json", "report.html", "confusion_matrix.csv", "confusion_matrix.png", "metrics.json"}
+    written |= {"tree.txt", "tree.png"}
     assert {path.name for path in trained.iterdir()} == {*written, "mine.run.json", "out.txt"}
     artefact = load_artefact(trained / "mine.json")
     assert artefact.vehicle == load_vehicle(data_set / "vehicle.toml")

@@ -10,6 +10,7 @@ import pytest
 from crosscomb.answer import select, start_selection
 from crosscomb.artefact import Artefact, load_artefact, save_artefact
 from crosscomb.estimate import estimate_log
+from crosscomb.stream import StreamingEstimator
 from crosscomb.training import compare as compare_module
 from crosscomb.training import fit_boosted
 from crosscomb.training.bank import BankRun, run_bank
@@ -178,6 +179,14 @@ def test_every_selector_works_in_pieces(artefacts, banks, name, size):
         )
     for one, pieces in zip(whole, zip(*parts, strict=True), strict=True):
         np.testing.assert_array_equal(one, np.concatenate(pieces))
+
+
+@pytest.mark.parametrize("name", list(SELECTORS))
+def test_every_selector_works_live(artefacts, simulated, car, name):
+    log = replace(simulated[3], frame=simulated[3].frame.iloc[:400])
+    live = StreamingEstimator(car, artefacts[name])
+    betas = [live.step(sample).beta for sample in log.frame.to_dict("records")]
+    np.testing.assert_array_equal(betas, estimate_log(log, car, artefacts[name]).beta)
 
 
 @pytest.mark.parametrize("name", ["tree", "hybrid"])

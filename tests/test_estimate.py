@@ -13,17 +13,12 @@ import pytest
 
 from crosscomb.artefact import Artefact, load_artefact, save_artefact
 from crosscomb.errors import UsageError
-from crosscomb.estimate import (
-    LogEstimate,
-    choose_vehicle,
-    estimate_log,
-    join_words,
-    open_logs,
-    write_estimate,
-)
+from crosscomb.estimate import choose_vehicle, estimate_log, open_logs, write_estimate
 from crosscomb.files import write_file
 from crosscomb.models.vehicle import Vehicle, load_vehicle
 from crosscomb.signals import Signals, make_signals
+from crosscomb.status import DEGRADED, INVALID, LOW_SPEED, TEXTS
+from crosscomb.stream import LogEstimate
 from crosscomb.training.simulate import simulate_log
 
 WORDS = ["low_speed", "degraded", "extrapolating", "invalid", "reverse"]
@@ -320,9 +315,8 @@ def test_status_says_extrapolating_outside_the_training(lively, car, artefact):
 
 
 def test_words_are_joined_in_one_order():
-    rows = {"low_speed": [1, 0, 0], "degraded": [1, 1, 0], "invalid": [0, 1, 0]}
-    joined = join_words({word: np.array(holds, dtype=bool) for word, holds in rows.items()})
-    assert joined.tolist() == ["low_speed+degraded", "degraded+invalid", "ok"]
+    codes = [LOW_SPEED | DEGRADED, INVALID | DEGRADED, 0]
+    assert TEXTS[codes].tolist() == ["low_speed+degraded", "degraded+invalid", "ok"]
 
 
 def test_made_columns_are_said(lively, car, artefact):

@@ -267,7 +267,7 @@ def test_the_kinematic_particle_filter_agrees_with_the_exact_kalman_filter() -> 
 
 def test_that_agreement_would_show_a_wrong_noise() -> None:
     exact = both([KinematicKF(GOLF).run(slalom(200))])[0]
-    runs = kinematic_runs(1.1 * KinematicNoise().accel)
+    runs = kinematic_runs(1.2 * KinematicNoise().accel)
     error = runs.std(axis=0, ddof=1) / np.sqrt(len(runs))
     assert np.abs((runs.mean(axis=0) - exact) / error).max() > 5.0
 

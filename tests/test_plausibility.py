@@ -247,3 +247,20 @@ def test_reversing_is_no_fault_of_the_reference() -> None:
     for seed in range(3):
         log = simulate_log(car, "reversing", seed, surface="split", duration=40.0)
         assert not [finding for finding in check_units(log, car) if finding.severity == "error"]
+
+
+def test_a_road_that_gives_more_than_the_vehicle_files_friction_is_warned_of(
+    drive: Signals, vehicle: Vehicle
+) -> None:
+    """The bound of Atheupe 2023, eq. 30, holds for what the road gives, not for ay on a bank or a spin's yaw."""
+    reach = float(np.quantile(np.abs(drive.column("ay")), 0.99))
+    slippery = vehicle.model_copy(update={"friction": 0.7 * reach / GRAVITY})
+    findings = check_units(drive, slippery)
+    assert [(finding.severity, finding.column) for finding in findings] == [("warning", "ay")]
+    assert "friction" in findings[0].message
+    named = float(findings[0].message.split("friction = ")[1].split()[0])
+    assert named == pytest.approx(reach / GRAVITY, rel=0.1)
+    banked = replace(drive, frame=drive.frame.assign(ay=drive.column("ay") + 0.5 * GRAVITY))
+    spinning = replace(drive, frame=drive.frame.assign(yaw_rate=2.0 * drive.column("yaw_rate")))
+    for log in (banked, spinning):
+        assert not [finding for finding in check_units(log, vehicle) if "friction" in finding.message]

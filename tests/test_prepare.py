@@ -70,6 +70,42 @@ def test_only_what_is_missing_is_made_and_each_is_noted(vehicle: Vehicle) -> Non
     assert [note.split()[0] for note in log.notes] == ["steer", "vx", "ax"]
 
 
+def late(vehicle: Vehicle) -> Signals:
+    """A log in which steer, vx and ax have their first samples only at 1, 2 and 3 s."""
+    t = np.arange(400) / 100.0
+    late = make_log(
+        steer=np.where(t < 1.0, np.nan, 0.3),
+        steer_wheel=np.full(400, 0.5),
+        vx=np.where(t < 2.0, np.nan, 9.0),
+        ax=np.where(t < 3.0, np.nan, 0.7),
+        **dict.fromkeys(WHEEL_SPEEDS, 8.0 + t),
+    )
+    lost = late.frame["t"].between(3.5, 3.6)
+    late.frame.loc[lost, ["steer", "vx", "ax"]] = np.nan
+    return late
+
+
+def test_a_column_is_made_until_its_first_sample_comes(vehicle: Vehicle) -> None:
+    log = complete(late(vehicle), vehicle)
+    t, steer, vx, ax = log.t, log.column("steer"), log.column("vx"), log.column("ax")
+    np.testing.assert_allclose(steer[t < 1.0], 0.5 / vehicle.steering_ratio)
+    np.testing.assert_allclose(vx[t < 1.0], 8.0 + t[t < 1.0], atol=0.05)
+    np.testing.assert_allclose(ax[(t > 0.5) & (t < 1.0)], 1.0, atol=0.05)
+    assert (set(steer[(t >= 1.0) & (t < 3.5)]), set(vx[(t >= 2.0) & (t < 3.5)])) == ({0.3}, {9.0})
+    assert set(ax[(t >= 3.0) & (t < 3.5)]) == {0.7}
+    lost = (t >= 3.5) & (t <= 3.6)
+    assert np.isnan([steer[lost], vx[lost], ax[lost]]).all()
+    for note, start in zip(log.notes, ("1", "2", "3"), strict=True):
+        assert note.endswith(f"until its first sample at t = {start} s")
+
+
+@pytest.mark.parametrize("stop", [5, 100, 101, 250, 301, 355])
+def test_what_is_made_does_not_depend_on_later_rows(vehicle: Vehicle, stop: int) -> None:
+    log = late(vehicle)
+    cut = complete(replace(log, frame=log.frame.iloc[:stop]), vehicle)
+    pd.testing.assert_frame_equal(cut.frame, complete(log, vehicle).frame.iloc[:stop], check_exact=True)
+
+
 def test_slope_is_exact_on_a_line_at_any_spacing_and_far_from_zero_time() -> None:
     rng = np.random.default_rng(2)
     t = 5e5 + np.cumsum(rng.uniform(0.001, 0.02, 500))

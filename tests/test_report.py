@@ -14,6 +14,7 @@ from matplotlib.figure import Figure
 from crosscomb import terminal
 from crosscomb.artefact import load_artefact
 from crosscomb.estimate import estimate_log
+from crosscomb.prepare import complete
 from crosscomb.report import (
     beside_artefact,
     confusion_figure,
@@ -27,7 +28,8 @@ from crosscomb.report import (
 )
 from crosscomb.results import TITLE, markdown_table, score_rows, write_section
 from crosscomb.signals import make_signals
-from crosscomb.trace_view import plot_traces, trace_figure
+from crosscomb.stream import make_plan
+from crosscomb.trace_view import plot_traces, trace_figure, traces
 from crosscomb.training.train import Training, train
 
 NAMES = ["kinematic_kf", "dynamic_ekf", "random_walk_pf"]
@@ -156,18 +158,19 @@ def test_the_picture_shows_beta_every_filter_and_the_reference(simulated, car, t
 
 
 def test_traces_show_what_adaptive_filters_adapt(simulated, car, tmp_path):
-    adaptive = ["lint_ekf", "friction_adaptive_ekf"]
-    estimate = estimate_log(simulated[2], car, load_artefact(), [*NAMES, *adaptive])
-    assert list(estimate.extras) == adaptive
-    stiffness = estimate.extras["lint_ekf"]["cornering_stiffness_front [N/rad]"]
-    assert stiffness.shape == estimate.beta.shape
+    artefact, adaptive = load_artefact(), ["lint_ekf", "friction_adaptive_ekf"]
+    plan, signals = make_plan(car, artefact, [*NAMES, *adaptive]), complete(simulated[2], car)
+    found = traces(plan, signals)
+    assert list(found.values) == adaptive
+    stiffness = found.values["lint_ekf"]["cornering_stiffness_front [N/rad]"]
+    assert stiffness.shape == found.t.shape
     assert stiffness[0] == pytest.approx(car.cornering_stiffness_front)
-    lines = lines_of(trace_figure(estimate, car, "log"))
+    lines = lines_of(trace_figure(plan, signals, "log"))
     np.testing.assert_array_equal(lines["lint_ekf"], stiffness)
     assert lines["vehicle file"][0] == car.cornering_stiffness_front
-    plot_traces(estimate, car, tmp_path / "a.png", "log")
+    plot_traces(plan, signals, tmp_path / "a.png", "log")
     assert pixels((tmp_path / "a.png").read_bytes())[0] > 800
-    plot_traces(estimate_log(simulated[2], car, load_artefact()), car, tmp_path / "none.png", "log")
+    plot_traces(make_plan(car, artefact), signals, tmp_path / "none.png", "log")
     assert not (tmp_path / "none.png").exists()
 
 

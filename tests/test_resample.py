@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from crosscomb.logs import read_log
-from crosscomb.resample import MAX_AGE, MAX_GAP, resample, rows_to_grid
+from crosscomb.resample import MAX_AGE, MAX_GAP, resample
 from crosscomb.signals import Signals
 
 
@@ -42,7 +42,7 @@ def test_log_at_the_working_rate_passes_bit_for_bit(start: float) -> None:
         segment.signals.frame.drop(columns="t"), log.frame.drop(columns="t"), check_exact=True
     )
     np.testing.assert_allclose(segment.signals.t, t, rtol=0.0, atol=np.spacing(start + 10.0))
-    assert np.array_equal(rows_to_grid(t, segment, 100.0), np.arange(1000))
+    assert np.array_equal(segment.newest, np.arange(1000))
 
 
 @settings(max_examples=30, deadline=None)
@@ -81,7 +81,7 @@ def test_every_grid_value_comes_from_fresh_samples_of_its_own_segment(seed: int,
             if np.isfinite(value):
                 near = (t <= time + 1e-6) & (t >= time - max(MAX_AGE, 1.0 / rate) - 1e-6)
                 assert np.nanmin(ay[near]) - 1e-12 <= value <= np.nanmax(ay[near]) + 1e-12
-        newest = rows_to_grid(t, segment, rate)
+        newest = segment.newest
         assert np.all(segment.signals.t[newest] <= t + 1e-6)
         following = newest + 1 < len(segment.signals)
         assert np.all(segment.signals.t[(newest + 1)[following]] > t[following] - 1e-6)
@@ -133,7 +133,7 @@ def test_long_gap_starts_a_new_segment() -> None:
 def test_rows_between_grid_points_belong_to_the_older_one() -> None:
     t = np.array([0.0, 0.004, 0.011, 0.0199999, 0.02, 0.025])
     (segment,) = resample(make_log(t, ay=t), 100.0)
-    assert rows_to_grid(t, segment, 100.0).tolist() == [0, 0, 1, 1, 2, 2]
+    assert segment.newest.tolist() == [0, 0, 1, 1, 2, 2]
 
 
 def test_real_logs_at_their_own_rate_are_unchanged(data_dir: Path) -> None:
@@ -141,3 +141,12 @@ def test_real_logs_at_their_own_rate_are_unchanged(data_dir: Path) -> None:
         log = read_log(data_dir / f"{name}.csv")
         (segment,) = resample(log, rate)
         pd.testing.assert_frame_equal(segment.signals.frame, log.frame, check_exact=True)
+
+
+def test_a_grid_point_is_closed_by_the_first_row_that_reaches_it() -> None:
+    """Two rows a nanosecond apart, both on the grid point within rounding: the later one changes nothing."""
+    t = np.array([0.0, 0.01 - 1e-9, 0.01 + 1e-9, 0.02])
+    log = make_log(t, ay=np.array([0.0, 1.0, 3.0, 5.0]))
+    (segment,) = resample(log, 100.0)
+    assert segment.newest.tolist() == [0, 1, 1, 2]
+    assert segment.signals.column("ay").tolist() == [0.0, 1.0, 4.0]

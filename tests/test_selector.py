@@ -144,6 +144,7 @@ SOUND = {
     "left": [1, 2, -1, -1, -1],
     "right": [4, 3, -1, -1, -1],
     "shares": [[0.5, 0.5], [0.6, 0.4], [1.0, 0.0], [0.2, 0.8], [0.0, 1.0]],
+    "picks": [0, 0, 0, 1, 1],
     "lowest": [-1.0, -1.0],
     "highest": [1.0, 1.0],
 }
@@ -161,8 +162,11 @@ BROKEN = {
     "missing threshold": {"threshold": [0.5, -0.5, 0.0, 0.0]},
     "uneven classes": {"shares": [[0.5, 0.5], [0.6, 0.4], [1.0, 0.0], [0.2], [0.0, 1.0]]},
     "NaN share": {"shares": [[0.5, 0.5], [0.6, 0.4], [1.0, 0.0], [0.2, float("nan")], [0.0, 1.0]]},
+    "missing pick": {"picks": [0, 0, 0, 1]},
+    "unknown pick": {"picks": [0, 0, 2, 1, 1]},
+    "negative pick": {"picks": [0, 0, 0, -1, 1]},
     "uneven range": {"highest": [1.0]},
-    "no nodes": {key: [] for key in ("feature", "threshold", "left", "right", "shares")},
+    "no nodes": {key: [] for key in ("feature", "threshold", "left", "right", "shares", "picks")},
     "text for a number": {"feature": ["ay", 1, -1, -1, -1]},
     "unknown key": {"gain": [1.0]},
 }
@@ -176,10 +180,17 @@ def test_a_sound_tree_decides_by_hand():
 
 
 def test_equal_shares_go_to_the_first_filter():
-    tree = Tree(
-        feature=[-1], threshold=[0.0], left=[-1], right=[-1], shares=[[0.4, 0.4, 0.2]], lowest=[], highest=[]
-    )
-    assert tree.predict(np.empty((2, 0))).tolist() == [0, 0]
+    features = np.zeros((4, 1), dtype=np.float32)
+    fitted = DecisionTreeClassifier(criterion="entropy").fit(features, [1, 0, 0, 1])
+    tree = to_tree(fitted, features, CLASSES)
+    assert tree.shares == [[0.5, 0.5, 0.0]]
+    assert tree.predict(features).tolist() == [0, 0, 0, 0]
+
+
+def test_a_leaf_decides_by_its_pick_not_by_its_shares():
+    """Training may keep the safe filter in a leaf where another one's gain is in doubt."""
+    rows = np.array([[0.5, -0.5], [0.5, -0.4], [0.51, -0.5]])
+    assert Tree(**{**SOUND, "picks": [0, 0, 1, 0, 1]}).predict(rows).tolist() == [1, 0, 1]
 
 
 @pytest.mark.parametrize("fault", BROKEN)

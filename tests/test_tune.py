@@ -110,22 +110,42 @@ def test_one_recording_cannot_outvote_many():
 # Likelihood
 
 
+def kinematic_noise(**noise: float) -> KinematicNoise:
+    """Noise of a kinematic filter that measures nothing but vx."""
+    return KinematicNoise(disagreement=1e-9, **noise)
+
+
+def kinematic_model(sample: np.ndarray, noise: KinematicNoise) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Transition (4, 4), input (4,) and process noise (4, 4) of the kinematic filter over a sample."""
+    keep = np.exp(-DT / noise.bias_time)
+    gain = np.reshape(input_gain(sample[YAW_RATE], DT), (2, 2))
+    step = np.diag([1.0, 1.0, keep, keep])
+    step[:2, :2], step[:2, 2:] = np.reshape(rotation(sample[YAW_RATE], DT), (2, 2)), -gain
+    held = np.concatenate([gain @ sample[[AX, AY]], np.zeros(2)])
+    drift = noise.accel_bias**2 * (1.0 - keep**2)
+    across = noise.accel**2 + (noise.ay_scale * sample[AY]) ** 2
+    return step, held, np.diag([noise.accel**2 * DT, across * DT, drift, drift])
+
+
 def kinematic_log(noise: KinematicNoise, seed: int, steps: int = 3000) -> Signals:
-    """A drive of the kinematic filter's own model with white noise, as it assumes them."""
+    """A drive of the kinematic filter's own model with the noise that it assumes."""
     rng = np.random.default_rng(seed)
     t = DT * np.arange(steps)
-    yaw_rate, ay, ax = 0.3 * np.sin(0.8 * t), 6.0 * np.sin(0.8 * t), np.cos(t)
-    states = np.empty((steps, 2))
-    states[0] = 20.0, 0.0
-    forget = np.diag([1.0, np.exp(-noise.relaxation * DT)])
+    samples = np.zeros((steps, SAMPLE_WIDTH))
+    samples[:, YAW_RATE], samples[:, AY], samples[:, AX] = (
+        0.3 * np.sin(0.8 * t),
+        6.0 * np.sin(0.8 * t),
+        np.cos(t),
+    )
+    states = np.empty((steps, 4))
+    states[0] = 20.0, 0.0, *rng.normal(0.0, noise.accel_bias, 2)
     for k in range(1, steps):
-        held = np.reshape(input_gain(yaw_rate[k], DT), (2, 2)) @ [ax[k], ay[k]]
-        turned = np.reshape(rotation(yaw_rate[k], DT), (2, 2)) @ forget @ states[k - 1]
-        states[k] = turned + held + rng.normal(0.0, noise.accel * np.sqrt(DT), 2)
+        step, held, added = kinematic_model(samples[k], noise)
+        states[k] = step @ states[k - 1] + held + rng.normal(0.0, np.sqrt(np.diag(added)))
+    frame = pd.DataFrame(samples[:, [AX, AY, YAW_RATE]], columns=["ax", "ay", "yaw_rate"])
     vx = states[:, 0] + rng.normal(0.0, noise.speed, steps)
     beta = np.arctan2(states[:, 1], states[:, 0])
-    columns = {"t": t, "vx": vx, "ax": ax, "ay": ay, "yaw_rate": yaw_rate, "steer": 0.0 * t, "beta_ref": beta}
-    return make_signals(pd.DataFrame(columns), f"log {seed}")
+    return make_signals(frame.assign(t=t, vx=vx, steer=0.0, beta_ref=beta), f"log {seed}")
 
 
 def inputs_of(signals: Signals) -> Inputs:
@@ -134,20 +154,18 @@ def inputs_of(signals: Signals) -> Inputs:
 
 
 def test_the_likelihood_of_the_kalman_filter_is_that_of_all_measurements_at_once():
-    noise = KinematicNoise(accel=0.4, speed=0.2, relaxation=0.2)
+    noise = kinematic_noise(accel=0.4, speed=0.2, bias_time=2.0)
     inputs = inputs_of(kinematic_log(noise, seed=1, steps=12))
     filter_ = KinematicKF(GOLF, noise)
     # The joint Gaussian of all vx, from the start on the first sample: its mean and covariance by the model.
-    mean = np.array([inputs.samples[0, VX], 0.0])
-    start = np.diag([noise.speed**2, (inputs.samples[0, VX] * np.radians(2.0)) ** 2])
-    forget = np.diag([1.0, np.exp(-noise.relaxation * DT)])
-    effect, added, means, rows = [np.eye(2)], [start], [], []
+    mean = np.array([inputs.samples[0, VX], 0.0, 0.0, 0.0])
+    start = np.diag([noise.speed, inputs.samples[0, VX] * np.radians(2.0), *[noise.accel_bias] * 2]) ** 2
+    effect, added, means, rows = [np.eye(4)], [start], [], []
     for sample in inputs.samples[1:]:
-        step = np.reshape(rotation(sample[YAW_RATE], DT), (2, 2)) @ forget
-        held = np.reshape(input_gain(sample[YAW_RATE], DT), (2, 2)) @ sample[[AX, AY]]
+        step, held, spread = kinematic_model(sample, noise)
         mean = step @ mean + held
-        effect = [step @ part for part in effect] + [np.eye(2)]
-        added.append(np.eye(2) * noise.accel**2 * DT)
+        effect = [step @ part for part in effect] + [np.eye(4)]
+        added.append(spread)
         means.append(mean[0])
         rows.append([part[0] for part in effect])
     n = len(rows)
@@ -183,9 +201,11 @@ def test_the_likelihood_of_the_particle_filter_is_the_mean_density_of_its_partic
 
 
 def test_likelihood_finds_the_noise_of_its_own_model_back():
-    truth = KinematicNoise(accel=0.5, speed=0.1, relaxation=0.3)
+    truth = kinematic_noise(accel=0.5, speed=0.1)
     logs = prepare(matched([kinematic_log(truth, seed) for seed in range(3)]), RATE, LIKELIHOOD)
-    wrong = entry("kinematic_kf", speed=truth.speed * 10.0, accel=truth.accel * 3.0)
+    wrong = entry(
+        "kinematic_kf", **truth._replace(speed=truth.speed * 10.0, accel=truth.accel * 3.0)._asdict()
+    )
     before = score_logs(wrong, logs, LIKELIHOOD)
     space = noise_space(wrong.settings["noise"], KinematicKF.told_by_likelihood)
 

@@ -12,8 +12,8 @@ import numpy as np
 import pandas as pd
 
 from crosscomb.artefact import Artefact, FilterSettings
+from crosscomb.drive import make_filters
 from crosscomb.errors import UsageError
-from crosscomb.estimate import make_filters
 from crosscomb.filters.base import make_inputs
 from crosscomb.models.vehicle import load_vehicle
 from crosscomb.resample import resample

@@ -15,7 +15,7 @@ from crosscomb.training.evaluate import SWITCH, Evaluation, evaluate, pool, scor
 from crosscomb.training.fit import SELECTORS, STATISTICS, Fitter, fit_tree, to_tree
 from crosscomb.training.folds import grouped_folds
 from crosscomb.training.labels import concatenate
-from crosscomb.training.recordings import Recording, common_vehicle
+from crosscomb.training.recordings import CARD, Recording, common_vehicle
 from crosscomb.training.train import default_filters, fit_all
 from crosscomb.windows import WindowSettings, window_features
 
@@ -61,7 +61,7 @@ class Comparison:
 
 def driving_of(recording: Recording) -> tuple[str, str]:
     """Manoeuvre and surface of a simulated recording, from the card beside it; empty for others."""
-    card = recording.path.with_name("dataset.json")
+    card = recording.path.with_name(CARD)
     if not card.is_file():
         return "", ""
     logs = json.loads(card.read_text(encoding="utf-8")).get("logs", [])

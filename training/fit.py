@@ -15,13 +15,13 @@ from crosscomb.models.vehicle import Vehicle
 from crosscomb.selector import Tree
 from crosscomb.switch import SwitchSettings
 from crosscomb.training.bank import BankRun
-from crosscomb.training.fit_boosted import (
+from crosscomb.training.fit_boosted import fit_choice, fit_temperature
+from crosscomb.training.fit_correction import (
     conformal_scale,
-    fit_choice,
     fit_correction,
     fit_doubt,
-    fit_temperature,
-    mirror_signs,
+    left_over,
+    recording_weights,
 )
 from crosscomb.training.folds import grouped_folds
 from crosscomb.training.labels import Windows, concatenate
@@ -47,7 +47,7 @@ class TreeShape:
     pruning: float = 1e-4
 
 
-SHAPES = (TreeShape(3, 0.02), TreeShape(4, 0.01))
+SHAPES = (TreeShape(3, 0.02), TreeShape(4, 0.01), TreeShape(6, 0.005))
 
 
 @dataclass(frozen=True)
@@ -111,6 +111,9 @@ SELECTORS: dict[str, SelectorKind] = {
     ),
 }  # fmt: skip
 
+MOST_BALANCE = 8.0
+"""A real recording counts at most so many times as much as a simulated one."""
+
 INNER_FOLDS = 3
 """Folds inside the recordings of one fit, for the shape of the tree and for the trust."""
 
@@ -125,7 +128,12 @@ THINNING = 10
 
 
 def fit_tree(
-    features: np.ndarray, windows: Windows, by_regret: bool, shape: TreeShape, seed: int
+    features: np.ndarray,
+    windows: Windows,
+    by_regret: bool,
+    shape: TreeShape,
+    seed: int,
+    weight: np.ndarray | None = None,
 ) -> DecisionTreeClassifier:
     """Fit the entropy tree (Atheupe 2023, eq. 34 to 36, sons weighted by their shares).
 
@@ -137,6 +145,8 @@ def fit_tree(
         A window speaks for every filter with what that filter saves over the worst one there.
     shape : TreeShape
     seed : int
+    weight : (w,), optional
+        Of each window.
     """
     label, classes = windows.label, windows.rmse.shape[1]
     tree = DecisionTreeClassifier(
@@ -146,7 +156,8 @@ def fit_tree(
     if not by_regret:
         return tree.fit(features, label)
     votes = np.tile(np.arange(classes), len(label))
-    return tree.fit(np.repeat(features, classes, axis=0), votes, sample_weight=windows.saved.ravel())
+    saved = windows.saved if weight is None else windows.saved * weight[:, None]
+    return tree.fit(np.repeat(features, classes, axis=0), votes, sample_weight=saved.ravel())
 
 
 def to_tree(fitted: DecisionTreeClassifier, features: np.ndarray, n_filters: int) -> Tree:
@@ -251,6 +262,20 @@ class Fitter:
         """Windows of some recordings."""
         return concatenate([self.windows[i] for i in members])
 
+    def owner(self, members: Sequence[int]) -> np.ndarray:
+        """Place in `members` of the recording of each of their windows ``(w,)``."""
+        return np.repeat(np.arange(len(members)), [len(self.windows[i].rmse) for i in members])
+
+    def balance(self, members: Sequence[int]) -> np.ndarray:
+        """Weight of each recording ``(members,)``: simulated and real ones count the same in all."""
+        counts = np.array([len(self.windows[i].rmse) for i in members], float)
+        simulated = np.array([self.banks[i].recording.is_simulated for i in members])
+        weight = np.ones(len(counts))
+        if 0 < simulated.sum() < len(counts):
+            share = counts[simulated].sum() / counts[~simulated].sum()
+            weight[~simulated] = min(max(share, 1.0 / MOST_BALANCE), MOST_BALANCE)
+        return weight
+
     def best_single(self, members: Sequence[int]) -> int:
         """Filter with the lowest mean RMSE over some recordings."""
         rmse = [np.sqrt(np.mean(self.windows[i].rmse ** 2, axis=0)) for i in members]
@@ -284,11 +309,12 @@ class Fitter:
         """Artefact with a tree only, its doubt not calibrated."""
         windows = self.together(members)
         features = windows.everything if self.kind.all_signals else windows.features
-        fitted = fit_tree(features, windows, self.kind.by_regret, shape, self.seed)
+        weight = self.balance(members)[self.owner(members)]
+        fitted = fit_tree(features, windows, self.kind.by_regret, shape, self.seed, weight)
         tree = to_tree(fitted, features, len(self.filters))
         if self.kind.by_regret:
-            owner = np.repeat(np.arange(len(members)), [len(self.windows[i].rmse) for i in members])
-            tree = keep_what_is_sure(tree, tree.leaves(features), windows, owner, self.best_single(members))
+            safe = self.best_single(members)
+            tree = keep_what_is_sure(tree, tree.leaves(features), windows, self.owner(members), safe)
         # The paper's safe choice is the particle filter; ours the one that was the best by measurement.
         paper = self.selector == "paper" and "random_walk_pf" in self.names
         return Artefact(
@@ -325,20 +351,24 @@ class Fitter:
         error, beta_std, beta = (np.concatenate(column) for column in zip(*parts, strict=True))
         return fit_trust(error, beta_std, beta)
 
+    def _weight(self, members: Sequence[int], anchor: int) -> np.ndarray:
+        """Weight of each window of some recordings for the correction of a filter ``(w,)``."""
+        windows, owner = self.together(members), self.owner(members)
+        return recording_weights(windows, owner, anchor) * self.balance(members)[owner]
+
     def _correction(self, members: Sequence[int], inner: Sequence[tuple[list[int], list[int]]]) -> Correction:
         """Fit the correction on all members and its doubt on what parts of them left out."""
-        anchor, signs = self.best_single(members), mirror_signs(self.names)
+        anchor = self.best_single(members)
         parts = []
         for fit, test in inner:
-            part = fit_correction(self.together(fit), self.names, anchor, self.seed)
+            part = fit_correction(self.together(fit), self.owner(fit), self.names, anchor, self.seed)
             windows = self.together(test)
-            known = np.isfinite(windows.beta_ref)
-            seen = windows.everything[known]
-            moved = part.trees.predict(seen) - part.trees.predict(seen * signs)
-            moved = np.clip(0.5 * moved[:, 0], -part.bound, part.bound)
-            parts.append((seen, (windows.beta_ref - windows.beta[:, anchor])[known] - moved))
-        doubt = fit_doubt(parts, signs, self.seed)
-        correction = fit_correction(self.together(members), self.names, anchor, self.seed)
+            weight = recording_weights(windows, self.owner(test), anchor)
+            parts.append(left_over(part, windows, weight, self.names))
+        doubt = fit_doubt(parts, self.names, anchor, self.seed)
+        correction = fit_correction(
+            self.together(members), self.owner(members), self.names, anchor, self.seed
+        )
         return correction.model_copy(update={"doubt": doubt})
 
 

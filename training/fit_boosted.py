@@ -1,4 +1,4 @@
-"""Fit boosted trees on all signals: which filter to take, how to correct the best one, and how far off that is."""
+"""Fit boosted trees on all signals that foretell which filter to take."""
 
 from __future__ import annotations
 
@@ -10,27 +10,20 @@ from sklearn.ensemble import HistGradientBoostingRegressor
 
 from crosscomb.boosted import Boosted
 from crosscomb.choice import Choice
-from crosscomb.correction import Correction
 from crosscomb.features import layout
 from crosscomb.training.labels import Windows
 
-ITERATIONS, LEAVES, LEARNING_RATE = 150, 31, 0.1
-"""Of the trees that correct; on simulated logs more brought nothing."""
+ITERATIONS, LEAVES, LEARNING_RATE = 80, 31, 0.1
+"""Of the trees; on simulated logs more brought nothing."""
 
 TEMPERATURES = tuple(float(one) for one in np.geomspace(0.02, 5.0, 25))
 
-CHOICE_ITERATIONS = 80
-DOUBT_ITERATIONS = 60
-
-LEAST_DOUBT = np.radians(0.05)
-"""No error is called smaller than this [rad]: references are not better."""
-
-BOUND_QUANTILE = 0.999
-"""Share of the training windows whose correction fits into the bound."""
+MOST_WINDOWS = 30_000
+"""So many windows train at most, evenly thinned: neighbours are near copies."""
 
 
 def fit_trees(
-    features: np.ndarray, target: np.ndarray, iterations: int, seed: int
+    features: np.ndarray, target: np.ndarray, seed: int, iterations: int = ITERATIONS
 ) -> HistGradientBoostingRegressor:
     """Fit one sum of regression trees.
 
@@ -38,8 +31,8 @@ def fit_trees(
     ----------
     features : (w, f) float32
     target : (w,)
-    iterations : int
     seed : int
+    iterations : int
     """
     model = HistGradientBoostingRegressor(
         max_iter=iterations, max_leaf_nodes=LEAVES, learning_rate=LEARNING_RATE, l2_regularization=1.0,
@@ -93,11 +86,10 @@ def fit_choice(windows: Windows, filters: list[str], soft: bool, seed: int) -> C
     soft : bool
     seed : int
     """
+    windows = windows.thinned(MOST_WINDOWS)
     features = with_mirrored(windows.everything, mirror_signs(filters))
     excess = np.degrees(windows.rmse - windows.rmse.min(axis=1, keepdims=True))
-    models = [
-        fit_trees(features, np.tile(-excess[:, i], 2), CHOICE_ITERATIONS, seed) for i in range(len(filters))
-    ]
+    models = [fit_trees(features, np.tile(-excess[:, i], 2), seed) for i in range(len(filters))]
     return Choice(trees=to_boosted(models), soft=soft)
 
 
@@ -117,81 +109,3 @@ def fit_temperature(choices: Sequence[Choice], left_out: Sequence[Windows]) -> f
         return total
 
     return min(TEMPERATURES, key=error)
-
-
-def fit_correction(windows: Windows, filters: list[str], anchor: int, seed: int) -> Correction:
-    """Fit the trees that correct a filter; its doubt is yet to be learned from recordings left out.
-
-    Parameters
-    ----------
-    windows : Windows
-        With all features.
-    filters : list of str
-    anchor : int
-        Index of the filter that is corrected.
-    seed : int
-    """
-    known = np.isfinite(windows.beta_ref)
-    signs = mirror_signs(filters)
-    features = with_mirrored(windows.everything[known], signs)
-    missing = (windows.beta_ref - windows.beta[:, anchor])[known]
-    model = fit_trees(features, np.concatenate([missing, -missing]), ITERATIONS, seed)
-    return Correction(
-        anchor=filters[anchor],
-        trees=to_boosted([model]),
-        doubt=Boosted(
-            baseline=[float(np.log(LEAST_DOUBT))],
-            roots=[],
-            feature=[],
-            threshold=[],
-            left=[],
-            right=[],
-            value=[],
-        ),
-        bound=float(min(max(np.quantile(np.abs(missing), BOUND_QUANTILE), LEAST_DOUBT), 1.5)),
-        odd=(signs < 0.0).tolist(),
-        lowest=features.min(axis=0).astype(float).tolist(),
-        highest=features.max(axis=0).astype(float).tolist(),
-    )
-
-
-def fit_doubt(parts: Sequence[tuple[np.ndarray, np.ndarray]], signs: np.ndarray, seed: int) -> Boosted:
-    """Fit the logarithm of the standard deviation on errors of recordings left out.
-
-    Its scale is calibrated on each part by the trees of the others: they know the errors they were fitted on.
-
-    Parameters
-    ----------
-    parts : sequence of ((w, f) float32, (w,) [rad])
-        Features and errors; at least two, of different recordings.
-    signs : (f,)
-        Of the features in the mirrored drive.
-    seed : int
-    """
-    ratios = []
-    for i, (features, error) in enumerate(parts):
-        others = _doubt_trees([part for j, part in enumerate(parts) if j != i], signs, seed)
-        foretold = 0.5 * (others.predict(features) + others.predict(features * signs))[:, 0]
-        ratios.append(error / np.exp(foretold))
-    doubt = _doubt_trees(parts, signs, seed)
-    every = np.concatenate(ratios)
-    scale = conformal_scale(every, np.ones(len(every)))
-    return doubt.model_copy(update={"baseline": [doubt.baseline[0] + float(np.log(scale))]})
-
-
-def _doubt_trees(parts: Sequence[tuple[np.ndarray, np.ndarray]], signs: np.ndarray, seed: int) -> Boosted:
-    features, errors = (np.concatenate(column) for column in zip(*parts, strict=True))
-    size = np.log(np.maximum(np.abs(errors), LEAST_DOUBT))
-    return to_boosted([fit_trees(with_mirrored(features, signs), np.tile(size, 2), DOUBT_ITERATIONS, seed)])
-
-
-def conformal_scale(error: np.ndarray, beta_std: np.ndarray) -> float:
-    """Factor on beta_std that makes +- 1.96 beta_std hold 95 % of the errors (split conformal).
-
-    Parameters
-    ----------
-    error, beta_std : (n,) [rad]
-        Of samples the estimate was not fitted on.
-    """
-    rank = min(1.0, 0.95 * (1.0 + 1.0 / len(error)))
-    return float(np.quantile(np.abs(error) / beta_std, rank) / 1.96)

@@ -51,6 +51,11 @@ class Windows:
         """Keep the windows that `inside` ``(w,) bool`` says."""
         return Windows(*(getattr(self, name)[inside] for name in WINDOW_COLUMNS))
 
+    def thinned(self, most: int) -> Windows:
+        """Keep so many windows at most, evenly."""
+        step = -(-len(self.rmse) // most)
+        return self.where(np.arange(len(self.rmse)) % step == 0) if step > 1 else self
+
     @property
     def saved(self) -> np.ndarray:
         """RMSE that each filter saves over the worst one in each window ``(w, filters) [rad]``, scaled to mean one.

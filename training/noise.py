@@ -16,7 +16,7 @@ DESIGN = (
     "adapt_ay", "adapt_speed", "parameter_range", "turning", "turning_width", "moving", "moving_width",
     "steer_calm", "steer_lively", "ay_calm", "ay_lively", "yaw_calm", "yaw_lively", "yaw_weight",
     "low_share", "kinematic_share", "floor", "share", "stay", "correlation", "memory", "outage", "bias_time",
-    "disturbance_time", "outside", "missing",
+    "disturbance_time", "outside", "missing", "demand", "disagreement",
 )  # fmt: skip
 """Thresholds, shares and times: part of a filter's design, not noise. Or, in networks, of no effect on beta."""
 

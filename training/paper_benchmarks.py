@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -44,6 +45,9 @@ D_INVERNO: dict[str, tuple[str, dict[str, Any]]] = {
 }
 """The paper's ten filters by their names in the catalogue."""
 
+RUNS = 5
+"""Every filter is timed in so many runs."""
+
 SNOW_CAR = "sports_mid_engine"
 SNOW_LOGS = {"snow A": 3, "snow B": 4}
 
@@ -60,11 +64,9 @@ def d_inverno_tables() -> tuple[PaperTable, PaperTable]:
         counted = countable(segment.beta_ref, segment.column("vx"))
         for name, (key, settings) in D_INVERNO.items():
             estimator = make_filter(key, car, settings)
-            estimator.run(inputs)
-            start = time.perf_counter()
-            beta = estimator.run(inputs).beta
-            pace[name][test] = 1e3 * (time.perf_counter() - start) / (len(inputs.samples) / RATE)
-            rmse[name][test] = float(np.degrees(score(beta, segment.beta_ref, counted).rmse))
+            estimate, seconds = _timed(partial(estimator.run, inputs))
+            pace[name][test] = 1e3 * seconds / (len(inputs.samples) / RATE)
+            rmse[name][test] = float(np.degrees(score(estimate.beta, segment.beta_ref, counted).rmse))
     errors, times = (_with_mean(pd.DataFrame.from_dict(part, orient="index")) for part in (rmse, pace))
     return (
         PaperTable(errors, _accuracy_verdict(errors["mean"])),
@@ -72,33 +74,54 @@ def d_inverno_tables() -> tuple[PaperTable, PaperTable]:
     )
 
 
+def _timed(run: Callable[[], Any]) -> tuple[Any, float]:
+    """Answer of a run and its CPU time [s]: the shortest of some, after one that may compile."""
+    answer, seconds = run(), []
+    for _ in range(RUNS):
+        start = time.process_time()
+        run()
+        seconds.append(time.process_time() - start)
+    return answer, min(seconds)
+
+
 def _with_mean(table: pd.DataFrame) -> pd.DataFrame:
     return table.assign(mean=table.mean(axis=1))
 
 
-def _group(mean: pd.Series, word: str) -> float:
-    return float(mean[[name for name in mean.index if word in str(name)]].mean())
+def _only(mean: pd.Series, word: str) -> pd.Series:
+    return mean[[name for name in mean.index if word in str(name)]]
+
+
+def _without(mean: pd.Series, word: str) -> pd.Series:
+    return mean.drop(_only(mean, word).index)
+
+
+def _spread(values: pd.Series) -> float:
+    """How much more the largest is than the smallest [%]."""
+    return 100.0 * (values.max() / values.min() - 1.0)
 
 
 def _accuracy_verdict(mean: pd.Series) -> str:
-    """Compare with the paper: S-UKF best by 10 %, EKFs alike, particle filters worst."""
-    ekf, ukf, pf = _group(mean, "EKF"), _group(mean, "UKF"), _group(mean, "PF")
-    worst = "agrees" if pf > max(ekf, ukf) else "does not agree"
-    best = str(mean.idxmin())
-    alike = mean[["FO-EKF", "I-EKF", "SO-EKF"]]
+    """Compare with the paper: S-UKF best, EKFs alike, particle filters worst and SYSTres-PF the best of them."""
+    kalman, pf = _without(mean, "PF"), _only(mean, "PF")
+    worst = "agrees" if pf.min() > kalman.max() else "does not agree"
+    best = "agrees" if kalman.idxmin() == "S-UKF" else f"does not agree (here {kalman.idxmin()})"
+    systematic = "agrees" if pf.idxmin() == "SYSTres-PF" else f"does not agree (here {pf.idxmin()})"
     return (
-        f"Means: EKFs {ekf:.2f}, UKFs {ukf:.2f}, particle filters {pf:.2f} deg. That particle filters are the worst "
-        f"{worst} with the paper; the best is {best} (the paper: S-UKF); the three EKFs lie within "
-        f"{100 * (alike.max() / alike.min() - 1):.0f} % of each other (the paper: 2 %)."
+        f"Means: EKFs {_only(mean, 'EKF').mean():.3f}, UKFs {_only(mean, 'UKF').mean():.3f}, particle filters "
+        f"{pf.mean():.3f} deg. That particle filters are the worst {worst} with the paper; S-UKF as the best {best}, "
+        f"SYSTres-PF as the best particle filter {systematic}. The Kalman filters lie within {_spread(kalman):.1f} % "
+        f"of each other (the paper: 23 %), the EKFs within {_spread(_only(mean, 'EKF')):.1f} % (2 %): our filters "
+        f"know the kart's tyres, and little is left that could tell them apart."
     )
 
 
 def _pace_verdict(mean: pd.Series) -> str:
     """Compare with the paper: FO-EKF cheapest, G-UKF dearest Kalman filter, particle filters ten times dearer."""
-    kalman = mean.drop([name for name in mean.index if "PF" in str(name)])
+    kalman = _without(mean, "PF")
     cheapest = "agrees" if kalman.idxmin() == "FO-EKF" else f"does not agree (here {kalman.idxmin()})"
     dearest = "agrees" if kalman.idxmax() == "G-UKF" else f"does not agree (here {kalman.idxmax()})"
-    times = _group(mean, "PF") / kalman.max()
+    times = _only(mean, "PF").mean() / kalman.max()
     return (
         f"FO-EKF as the cheapest {cheapest} with the paper, G-UKF as the dearest Kalman filter {dearest}; particle "
         f"filters take {times:.0f} times the dearest Kalman filter (the paper: 8 times)."
@@ -116,13 +139,30 @@ def atheupe_table_1() -> PaperTable:
         rows["ME", place] = {text: float(np.degrees(scores[key].max_error)) for text, key in columns.items()}
         rows["RMSE", place] = {text: float(np.degrees(scores[key].rmse)) for text, key in columns.items()}
     table = pd.DataFrame.from_dict({" ".join(key): row for key, row in rows.items()}, orient="index")
-    rmse = table.loc[[name for name in table.index if str(name).startswith("RMSE")]].mean()
-    best = "agrees" if rmse.idxmin() == "cross-combination" else f"does not agree: here {rmse.idxmin()} is"
-    second = "agrees" if rmse["PF"] < rmse["KF"] else "does not agree"
-    return PaperTable(
-        table,
-        f"That the cross-combination has the lowest RMSE {best}{'' if best == 'agrees' else ' the best'}; "
-        f"that the PF beats the KF {second} with the paper (1.24 to 1.35, 1.72 to 1.85 and 1.87 to 2.00 deg there).",
+    return PaperTable(table, _snow_verdict(table))
+
+
+def _snow_verdict(table: pd.DataFrame) -> str:
+    """Compare with the paper, place by place: cross-combination best in both figures, PF before KF in the RMSE."""
+
+    def where(rows: str, better: str, worse: list[str]) -> str:
+        chosen = table[[str(name).startswith(rows) for name in table.index]]
+        won = [
+            str(name).removeprefix(f"{rows} ")
+            for name, row in chosen.iterrows()
+            if row[better] < row[worse].min()
+        ]
+        return (
+            "agrees" if len(won) == len(chosen) else f"agrees on {won[0]} only" if won else "does not agree"
+        )
+
+    lowest, smallest = (where(rows, "cross-combination", ["KF", "PF"]) for rows in ("RMSE", "ME"))
+    return (
+        f"The paper has RMSEs of 1.24 to 1.35 deg for the cross-combination, 1.72 to 1.85 for the PF and 1.87 to 2.00 "
+        f"for the KF. That the cross-combination has the lowest RMSE {lowest}, that it has the lowest largest error "
+        f"{smallest}, that the PF beats the KF in RMSE {where('RMSE', 'PF', ['KF'])} and the KF the PF in largest "
+        f"error {where('ME', 'KF', ['PF'])}. Our car slides on snow from bend to bend, and its switch was trained on "
+        f"other cars and roads too."
     )
 
 

@@ -37,8 +37,16 @@ class Recording:
     vehicle: Vehicle
     signals: Signals
 
+    @property
+    def is_simulated(self) -> bool:
+        """Whether it comes from `crosscomb simulate`, whose data card then lies beside it."""
+        return self.path.with_name(CARD).is_file()
 
-OUR_TABLES = (".estimate.csv", ".tuning.csv", "confusion_matrix.csv")
+
+CARD = "dataset.json"
+"""Data card of a folder of simulated logs."""
+
+OUR_TABLES = (".estimate.csv", ".point.csv", ".handling.csv", ".tuning.csv", "confusion_matrix.csv")
 """Endings of what crosscomb itself writes: no logs."""
 
 

@@ -21,6 +21,7 @@ from crosscomb.training.data_card import data_card, log_entry
 from crosscomb.training.driver import run_manoeuvre, start
 from crosscomb.training.manoeuvres import MANOEUVRES
 from crosscomb.training.presets import Job, plan_jobs
+from crosscomb.training.recordings import CARD
 from crosscomb.training.road import SURFACES, draw_road
 from crosscomb.training.scene import Plan, Scene
 from crosscomb.training.schedule import CONTROL_PERIOD, RECORD, Driver
@@ -30,7 +31,6 @@ from crosscomb.training.spread import draw_driver, draw_plant
 STEP = 0.001
 """Integration step [s]."""
 
-CARD = "dataset.json"
 VEHICLE_FILE = "vehicle.toml"
 
 

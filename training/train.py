@@ -100,15 +100,12 @@ def train(
     UsageError
         One filter is the best in every window, or a recording has no window that can be judged.
     """
-    kind = SELECTORS[selector]
     entries = with_tuned(default_filters(recordings[0].vehicle, filters), tuned)
     if tune_budget > 0:
         learning = [recordings[i] for i in split_recordings(len(recordings), seed).training]
         entries = tuned_entries(learning, entries, rate, tune_budget, seed, jobs, leave=tuned)
-    banks = run_bank(recordings, entries, rate, kind.window, jobs, progress)
-    windows = [bank.windows(kind.window, kind.needs_all) for bank in banks]
-    _require_choice(recordings, windows, entries)
-    fitter = Fitter(selector, rate, entries, common_vehicle(list(recordings)), seed, banks, windows)
+    fitter = make_fitter(recordings, selector, entries, seed, rate, jobs, progress)
+    banks = fitter.banks
 
     parts = split_recordings(len(banks), seed)
     pairs = grouped_folds(parts.training, folds, seed)
@@ -123,6 +120,23 @@ def train(
     record = _record(recordings, parts, seed, folds, shape, cross, validation, test)
     artefact = whole.model_copy(update={"training": record})
     return Training(artefact, cross, validation, test, parts, shape)
+
+
+def make_fitter(
+    recordings: Sequence[Recording],
+    selector: str,
+    entries: list[FilterSettings],
+    seed: int,
+    rate: float = RATE,
+    jobs: int = 1,
+    progress: Callable[[], None] | None = None,
+) -> Fitter:
+    """Run the filters over recordings and label their windows; see `train` for the arguments and errors."""
+    kind = SELECTORS[selector]
+    banks = run_bank(recordings, entries, rate, kind.window, jobs, progress)
+    windows = [bank.windows(kind.window, kind.needs_all) for bank in banks]
+    _require_choice(recordings, windows, entries)
+    return Fitter(selector, rate, entries, common_vehicle(list(recordings)), seed, banks, windows)
 
 
 def fit_all(

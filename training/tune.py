@@ -173,7 +173,7 @@ def require_tunable(name: str, by: str) -> None:
     if is_tunable(name, by):
         return
     if by == LIKELIHOOD:
-        able = [key for key, entry in CATALOGUE.items() if entry.make.told_by_likelihood]
+        able = [key for key in CATALOGUE if is_tunable(key, by)]
         raise UsageError(
             f"--filters {name}: can only be tuned against ground truth: without it take of {', '.join(able)}"
         )

@@ -1,0 +1,81 @@
+"""Words that say how far to trust each sample."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from crosscomb.filters.base import AX, AY, STEER_HELD, VX, VX_HELD, YAW_RATE
+from crosscomb.models.compiled import kernel
+from crosscomb.signals import MIN_SPEED
+
+STALE = 1.0
+"""Without speed, steering, or both yaw rate and ay for this long [s] the estimate is invalid."""
+
+REVERSE_SPEED = -0.3
+"""Below this vx [m/s] the car reverses; speed sensors at rest read a little on either side of 0."""
+
+LOW_SPEED, DEGRADED, EXTRAPOLATING, INVALID, REVERSE = (1 << bit for bit in range(5))
+WORDS = ("low_speed", "degraded", "extrapolating", "invalid", "reverse")
+"""The word of each bit, in this order."""
+
+TEXTS = np.array(
+    ["+".join(word for bit, word in enumerate(WORDS) if code >> bit & 1) or "ok" for code in range(1 << len(WORDS))],
+    dtype=object,
+)  # fmt: skip
+"""Text of each code: its words joined by ``+``, ``ok`` where none holds."""
+
+NEVER = 1 << 60
+"""Age in samples of what was never measured."""
+
+
+def start_ages() -> np.ndarray:
+    """Samples since vx, steer, and yaw rate or ay were measured ``(3,)``, before the first sample of a drive."""
+    return np.full(3, NEVER)
+
+
+def status_codes(ages: np.ndarray, samples: np.ndarray, outside: np.ndarray, dt: float) -> np.ndarray:
+    """Status of the next samples of a drive.
+
+    Parameters
+    ----------
+    ages : (3,) int
+        Changed in place.
+    samples : (n, 17)
+        As in `crosscomb.filters.base.Inputs`.
+    outside : (n,) bool
+        The input lies outside the training data.
+    dt : float [s]
+
+    Returns
+    -------
+    (n,) int
+        Places in `TEXTS`.
+    """
+    codes = np.empty(len(samples), dtype=np.int64)
+    _codes_run(ages, samples, outside, STALE / dt, codes)
+    return codes
+
+
+@kernel
+def _codes_run(ages, samples, outside, stale, codes):
+    for k in range(codes.size):
+        sample, vx = samples[k], samples[k, VX]
+        no_ay, no_yaw_rate = not math.isfinite(sample[AY]), not math.isfinite(sample[YAW_RATE])
+        ages[0] = min(ages[0] + 1, NEVER) if sample[VX_HELD] == 1.0 else 0
+        ages[1] = min(ages[1] + 1, NEVER) if sample[STEER_HELD] == 1.0 else 0
+        ages[2] = min(ages[2] + 1, NEVER) if no_ay and no_yaw_rate else 0
+        code = 0
+        if REVERSE_SPEED <= vx <= MIN_SPEED:
+            code |= LOW_SPEED
+        held = sample[VX_HELD] + sample[STEER_HELD] > 0.0
+        if held or no_ay or no_yaw_rate or not math.isfinite(sample[AX]):
+            code |= DEGRADED
+        if outside[k] and vx > MIN_SPEED:
+            code |= EXTRAPOLATING
+        if max(ages[0], ages[1], ages[2]) > stale:
+            code |= INVALID
+        if vx < REVERSE_SPEED:
+            code |= REVERSE
+        codes[k] = code

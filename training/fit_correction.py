@@ -1,0 +1,260 @@
+"""Fit the networks that correct a filter, and the one that says how far off the corrected answer is."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from sklearn.exceptions import ConvergenceWarning
+from sklearn.neural_network import MLPRegressor
+
+from crosscomb.correction import LEAST_DOUBT, Correction
+from crosscomb.features import layout
+from crosscomb.network import FAR, Member, Network
+from crosscomb.training.fit_boosted import mirror_signs, with_mirrored
+from crosscomb.training.labels import Windows
+
+MEMBERS, HIDDEN = 3, (64, 32)
+"""Networks that correct together, and the neurons of their layers; on simulated logs more brought little."""
+
+DOUBT_HIDDEN = (32, 16)
+
+MOST_WINDOWS = 100_000
+"""So many windows train at most, evenly thinned: neighbours are near copies."""
+
+BATCH, EPOCHS, STEPS = 512, 30, 7000
+"""Windows per step, passes over the windows, and steps at most."""
+
+UNIT = np.radians(1.0)
+"""The networks answer in this unit [rad]."""
+
+EVEN_ERROR = np.radians(0.3)
+"""Recordings count by 1 / (RMSE of the corrected filter + this) [rad].
+
+What is judged is the mean RMSE of recordings: without weights the slides alone would be learned.
+"""
+
+LEAST_ERROR = np.exp(LEAST_DOUBT)
+"""No error is called smaller than this [rad]: references are not better."""
+
+BOUND_QUANTILE = 0.999
+"""Share of the training windows whose correction fits into the bound."""
+
+
+class Part(NamedTuple):
+    """Windows of recordings that a correction was not fitted on.
+
+    Attributes
+    ----------
+    features : (w, f) float32
+    error : (w,) [rad]
+        Truth less corrected answer.
+    weight : (w,)
+    """
+
+    features: np.ndarray
+    error: np.ndarray
+    weight: np.ndarray
+
+
+def recording_weights(windows: Windows, owner: np.ndarray, anchor: int) -> np.ndarray:
+    """Weight of each window ``(w,)`` by the error of the filter in its recording, see `EVEN_ERROR`.
+
+    Parameters
+    ----------
+    windows : Windows
+    owner : (w,) int
+        Recording of each window.
+    anchor : int
+        Index of the filter.
+    """
+    counts = np.maximum(np.bincount(owner), 1)
+    rmse = np.sqrt(np.bincount(owner, windows.rmse[:, anchor] ** 2) / counts)
+    weight = 1.0 / (rmse + EVEN_ERROR)
+    return weight[owner] / weight[owner].mean()
+
+
+def fit_network(
+    features: np.ndarray,
+    target: np.ndarray,
+    weight: np.ndarray,
+    filters: list[str],
+    anchor: int,
+    members: int,
+    hidden: tuple[int, int],
+    seed: int,
+) -> Network:
+    """Fit networks that differ only in their first weights.
+
+    They look at the drive and at what the filters say; sideslip angles count from the anchor's.
+
+    Parameters
+    ----------
+    features : (w, f) float32
+    target : (w,)
+        In units of one.
+    weight : (w,)
+    filters : list of str
+    anchor : int
+        Index of the filter that sideslip angles count from.
+    members : int
+    hidden : (int, int)
+        Neurons of the layers.
+    seed : int
+    """
+    places = layout(filters)
+    columns = np.flatnonzero(places.plain)
+    relative = places.relative_to(anchor)[columns]
+    seen = features[:, columns] - np.where(relative >= 0, features[:, relative], np.float32(0.0))
+    # An odd feature and its mirror image have mean zero.
+    mean = np.where(places.odd[columns], 0.0, seen.mean(axis=0))
+    scale = np.maximum(np.sqrt(np.mean((seen - mean) ** 2, axis=0)), 1e-6)
+    inputs = np.clip((seen - mean) / scale, -FAR, FAR).astype(np.float32)
+    epochs = int(min(EPOCHS, max(1, STEPS * BATCH // len(inputs))))
+    fitted = []
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ConvergenceWarning)  # the passes are meant to be the end
+        for member in range(members):
+            regressor = MLPRegressor(
+                hidden_layer_sizes=hidden, alpha=1e-3, batch_size=min(BATCH, len(inputs)), learning_rate_init=2e-3,
+                max_iter=epochs, random_state=seed + member,
+            )  # fmt: skip
+            fitted.append(regressor.fit(inputs, target.astype(np.float32), sample_weight=weight))
+    return Network(
+        columns=columns.tolist(), relative=relative.tolist(), mean=_short(mean), scale=_short(scale), unit=1.0,
+        members=[to_member(one) for one in fitted],
+    )  # fmt: skip
+
+
+def to_member(fitted: MLPRegressor) -> Member:
+    """Take a fitted network with two hidden layers over."""
+    (first, second, last), (first_bias, second_bias, last_bias) = fitted.coefs_, fitted.intercepts_
+    return Member(
+        first=[_short(row) for row in first],
+        first_bias=_short(first_bias),
+        second=[_short(row) for row in second],
+        second_bias=_short(second_bias),
+        output=_short(last[:, 0]),
+        output_bias=_short(last_bias)[0],
+    )
+
+
+def _short(values: np.ndarray) -> list[float]:
+    """Numbers with six digits: all that single precision tells apart in these sums, in half the file."""
+    return [float(f"{value:.6g}") for value in values]
+
+
+def fit_correction(
+    windows: Windows, weight: np.ndarray, filters: list[str], anchor: int, seed: int
+) -> Correction:
+    """Fit the networks that correct a filter; its doubt is yet to be learned from recordings left out.
+
+    Parameters
+    ----------
+    windows : Windows
+        With all features.
+    weight : (w,)
+        Of each window.
+    filters : list of str
+    anchor : int
+        Index of the filter that is corrected.
+    seed : int
+    """
+    known = np.isfinite(windows.beta_ref)
+    signs = mirror_signs(filters)
+    everything = with_mirrored(windows.everything[known], signs)
+    missing = (windows.beta_ref - windows.beta[:, anchor])[known]
+    every = np.arange(len(missing))[:: -(-len(missing) // MOST_WINDOWS)]
+    network = fit_network(
+        with_mirrored(windows.everything[known][every], signs),
+        np.concatenate([missing[every], -missing[every]]) / UNIT,
+        np.tile(weight[known][every], 2), filters, anchor, MEMBERS, HIDDEN, seed,
+    )  # fmt: skip
+    return Correction(
+        anchor=filters[anchor],
+        network=network.model_copy(update={"unit": float(UNIT)}),
+        doubt=constant_doubt(float(LEAST_DOUBT)),
+        bound=float(min(max(np.quantile(np.abs(missing), BOUND_QUANTILE), LEAST_ERROR), 1.5)),
+        odd=(signs < 0.0).tolist(),
+        lowest=everything.min(axis=0).astype(float).tolist(),
+        highest=everything.max(axis=0).astype(float).tolist(),
+    )
+
+
+def constant_doubt(value: float) -> Network:
+    """A network that answers `value` to everything."""
+    silent = Member(
+        first=[[0.0]], first_bias=[0.0], second=[[0.0]], second_bias=[0.0], output=[0.0], output_bias=value
+    )
+    return Network(columns=[0], relative=[-1], mean=[0.0], scale=[1.0], unit=1.0, members=[silent])
+
+
+def left_over(correction: Correction, windows: Windows, weight: np.ndarray, filters: list[str]) -> Part:
+    """What a correction leaves on windows of other recordings.
+
+    Parameters
+    ----------
+    correction : Correction
+    windows : Windows
+    weight : (w,)
+    filters : list of str
+    """
+    known = np.isfinite(windows.beta_ref)
+    seen, anchor = windows.everything[known], filters.index(correction.anchor)
+    moved = correction.network.predict(seen) - correction.network.predict(seen * mirror_signs(filters))
+    moved = np.clip(0.5 * moved, -correction.bound, correction.bound)
+    error = (windows.beta_ref - windows.beta[:, anchor])[known] - moved
+    return Part(seen, error, weight[known])
+
+
+def fit_doubt(parts: Sequence[Part], filters: list[str], anchor: int, seed: int) -> Network:
+    """Fit the logarithm of the standard deviation on errors of recordings left out.
+
+    Its scale is calibrated on each part by the network of the others: it knows the errors it was fitted on.
+
+    Parameters
+    ----------
+    parts : sequence of Part
+        At least two, of different recordings.
+    filters : list of str
+    anchor : int
+    seed : int
+    """
+    signs = mirror_signs(filters)
+    ratios = []
+    for i, part in enumerate(parts):
+        others = _doubt(parts[:i] + parts[i + 1 :], filters, anchor, seed)  # type: ignore[operator]
+        foretold = 0.5 * (others.predict(part.features) + others.predict(part.features * signs))
+        ratios.append(part.error / np.exp(np.maximum(foretold, LEAST_DOUBT)))
+    every = np.concatenate(ratios)
+    scale = conformal_scale(every, np.ones(len(every)))
+    doubt = _doubt(parts, filters, anchor, seed)
+    members = [
+        member.model_copy(update={"output_bias": member.output_bias + float(np.log(scale))})
+        for member in doubt.members
+    ]
+    return doubt.model_copy(update={"members": members})
+
+
+def _doubt(parts: Sequence[Part], filters: list[str], anchor: int, seed: int) -> Network:
+    features, errors, weights = (np.concatenate(column) for column in zip(*parts, strict=True))
+    step = -(-len(errors) // MOST_WINDOWS)
+    size = np.log(np.maximum(np.abs(errors[::step]), LEAST_ERROR))
+    seen = with_mirrored(features[::step], mirror_signs(filters))
+    return fit_network(
+        seen, np.tile(size, 2), np.tile(weights[::step], 2), filters, anchor, 1, DOUBT_HIDDEN, seed
+    )
+
+
+def conformal_scale(error: np.ndarray, beta_std: np.ndarray) -> float:
+    """Factor on beta_std that makes +- 1.96 beta_std hold 95 % of the errors (split conformal).
+
+    Parameters
+    ----------
+    error, beta_std : (n,) [rad]
+        Of samples the estimate was not fitted on.
+    """
+    rank = min(1.0, 0.95 * (1.0 + 1.0 / len(error)))
+    return float(np.quantile(np.abs(error) / beta_std, rank) / 1.96)
