@@ -9,7 +9,7 @@ tuned on the eleven other recordings, whose cars are then identified without the
 
 from __future__ import annotations
 
-import sys
+import argparse
 from pathlib import Path
 
 import numpy as np
@@ -112,7 +112,7 @@ def joint(data: Path) -> None:
         print(f"mean of {name}: {old:.3f} to {new:.3f}, change {new / old - 1.0:+.1%}")
 
 
-def tuned_and_identified(data: Path, name: str = "dynamic_ekf") -> None:
+def tuned_and_identified(data: Path, evaluations: int, name: str = "dynamic_ekf") -> None:
     """One filter with the default, and with noise tuned and cars identified without the recording that is judged."""
     cars = {
         folder: [one for one in read_recordings(data / folder)[0] if one.name in names]
@@ -129,7 +129,7 @@ def tuned_and_identified(data: Path, name: str = "dynamic_ekf") -> None:
             others = [other for other in cars[folder] if other is not one and other is not held]
             seen.append(identified_recording(one, others))
         judged = seen.pop([one for _, one in pairs].index(held))
-        kept = tune(seen, [entry], RATE, ERROR).filters[0].kept
+        kept = tune(seen, [entry], RATE, ERROR, evaluations).filters[0].kept
         row = [score_logs(*pair, ERROR)[0] for pair in (
             (entry, prepare([held], RATE)), (entry, prepare([judged], RATE)), (kept, prepare([judged], RATE)),
         )]  # fmt: skip
@@ -142,13 +142,18 @@ def tuned_and_identified(data: Path, name: str = "dynamic_ekf") -> None:
 
 
 def main() -> None:
-    words = [word for word in sys.argv[1:] if word != "--tuned"]
-    if len(words) != 1:
-        sys.exit("usage: identify_real.py FOLDER_OF_REAL_LOGS [--tuned]")
-    documented(Path(words[0]))
-    joint(Path(words[0]))
-    if "--tuned" in sys.argv:
-        tuned_and_identified(Path(words[0]))
+    """Print the tables."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--tuned", action="store_true", help="the third table, which takes long")
+    parser.add_argument("--evaluations", type=int, default=50, help="of each search of the tuning")
+    options = parser.parse_args()
+    documented(options.folder)
+    joint(options.folder)
+    if options.tuned:
+        tuned_and_identified(options.folder, options.evaluations)
 
 
 if __name__ == "__main__":
