@@ -1,14 +1,15 @@
 """Identification on real logs: found against documented, and what it brings the dynamic EKF.
 
-Run with ``python benchmarks/identify_real.py ../shared/data``. The logs are read as they are: no channel map, and a
-vehicle file whose steering ratio is wrong where the documented one is sought. The second table tests each
-recording of the set with car and sensors as identified on the same car's other recordings, with their ground truth, or,
-where there are none, on the recording itself without its ground truth.
+Run with ``python benchmarks/identify_real.py ../shared/data [--tuned]``. The logs are read as they are: no channel
+map, and a vehicle file whose steering ratio is wrong where the documented one is sought. The second table tests each
+recording of the set with car and sensors as identified on the same car's other recordings, with their ground truth,
+or, where there are none, on the recording itself without its ground truth. With ``--tuned`` a third table adds noise
+tuned on the eleven other recordings, whose cars are then identified without the one that is judged.
 """
 
 from __future__ import annotations
 
-import sys
+import argparse
 from pathlib import Path
 
 import numpy as np
@@ -21,6 +22,9 @@ from crosscomb.training.identify import identify
 from crosscomb.training.identify_files import identified_recording
 from crosscomb.training.identify_sensors import still_biases
 from crosscomb.training.recordings import Recording, find_logs, read_recordings
+from crosscomb.training.train import RATE, default_filters
+from crosscomb.training.tune import tune
+from crosscomb.training.tune_scores import ERROR, prepare, score_logs
 
 REAL_SET = {
     "kth_volvo_s90": ("slalom_30kph", "stepsteer_left_100kph"),
@@ -108,11 +112,48 @@ def joint(data: Path) -> None:
         print(f"mean of {name}: {old:.3f} to {new:.3f}, change {new / old - 1.0:+.1%}")
 
 
+def tuned_and_identified(data: Path, evaluations: int, name: str = "dynamic_ekf") -> None:
+    """One filter with the default, and with noise tuned and cars identified without the recording that is judged."""
+    cars = {
+        folder: [one for one in read_recordings(data / folder)[0] if one.name in names]
+        for folder, names in REAL_SET.items()
+    }
+    pairs = [(folder, one) for folder, own in cars.items() for one in own]
+    entry = default_filters(pairs[0][1].vehicle, [name])[0]
+    print(f"\nRMSE [deg] of {name}: default, identified, tuned and identified")
+    table = []
+    for held_folder, held in pairs:
+        seen = []
+        for folder, one in pairs:
+            # The judged recording lends its ground truth to nothing, its own car included.
+            others = [other for other in cars[folder] if other is not one and other is not held]
+            seen.append(identified_recording(one, others))
+        judged = seen.pop([one for _, one in pairs].index(held))
+        kept = tune(seen, [entry], RATE, ERROR, evaluations).filters[0].kept
+        row = [score_logs(*pair, ERROR)[0] for pair in (
+            (entry, prepare([held], RATE)), (entry, prepare([judged], RATE)), (kept, prepare([judged], RATE)),
+        )]  # fmt: skip
+        table.append(row)
+        words = "" if kept != entry else "  (default noise kept)"
+        print(f"{held_folder}/{held.name:32s} " + " ".join(f"{x:6.2f}" for x in row) + words, flush=True)
+    default, identified, both = np.mean(table, axis=0)
+    print(f"mean {default:.3f}, {identified:.3f} ({identified / default - 1.0:+.1%}), "
+          f"{both:.3f} ({both / default - 1.0:+.1%}); largest {np.max(table, axis=0).round(2)}")  # fmt: skip
+
+
 def main() -> None:
-    if len(sys.argv) != 2:
-        sys.exit("usage: identify_real.py FOLDER_OF_REAL_LOGS")
-    documented(Path(sys.argv[1]))
-    joint(Path(sys.argv[1]))
+    """Print the tables."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--tuned", action="store_true", help="the third table, which takes long")
+    parser.add_argument("--evaluations", type=int, default=50, help="of each search of the tuning")
+    options = parser.parse_args()
+    documented(options.folder)
+    joint(options.folder)
+    if options.tuned:
+        tuned_and_identified(options.folder, options.evaluations)
 
 
 if __name__ == "__main__":

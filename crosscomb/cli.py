@@ -256,7 +256,11 @@ def estimate(
         "estimates"
     ),
     plot: Annotated[
-        bool, typer.Option("--plot", help="Also draw beta, its band and the active filter.")
+        bool,
+        typer.Option(
+            "--plot",
+            help="Also draw beta, its band, the active filter, and what adaptive filters adapt.",
+        ),
     ] = False,
     filters: FiltersOption = None,
     tuned: TunedOption = None,
@@ -305,8 +309,13 @@ def estimate(
             write_json(output / f"{name}.run.json", run_record("estimate", settings, inputs))
             if plot:
                 from crosscomb.report import plot_estimate
+                from crosscomb.stream import make_plan
+                from crosscomb.trace_view import plot_traces
 
-                plot_estimate(result, output / f"{name}.estimate.png", f"{name}, {log.vehicle.name}")
+                title = f"{name}, {log.vehicle.name}"
+                plot_estimate(result, output / f"{name}.estimate.png", title)
+                plan = make_plan(log.vehicle, artefact, names or None, given)
+                plot_traces(plan, result.signals, output / f"{name}.traces.png", title)
             notes += [f"{name}: {note}" for note in result.signals.notes]
             if result.signals.has_reference:
                 scores[name] = score_log(result)

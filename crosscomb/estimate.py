@@ -27,7 +27,7 @@ from crosscomb.stream import LogEstimate, Stream, advance, make_plan, to_estimat
 from crosscomb.tuned import Tuned
 from crosscomb.windows import WindowSettings
 
-OUTPUTS = (".estimate.csv", ".estimate.png", ".point.csv", ".handling.csv", ".run.json")
+OUTPUTS = (".estimate.csv", ".estimate.png", ".traces.png", ".point.csv", ".handling.csv", ".run.json")
 """Endings of what is written for a log."""
 
 GENERIC = "generic_compact"

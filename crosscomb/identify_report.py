@@ -13,11 +13,13 @@ from crosscomb.files import write_file
 from crosscomb.models.magic_formula import magic_formula
 from crosscomb.models.tyres import rational_tyre
 from crosscomb.training.identify import Identification
+from crosscomb.training.identify_drive import settled
+from crosscomb.training.identify_files import rms
 from crosscomb.training.identify_handling import shown_motion
 from crosscomb.training.identify_parameters import Fit
 from crosscomb.training.identify_tyres import AxleCurve
 
-MOST_LOGS = 4
+MOST_LOGS = 10
 SHOWN_SECONDS = 30.0
 BEFORE, AFTER, MEASURED = "#d55e00", "#0072b2", "black"
 """Told apart by colour-blind eyes (Okabe and Ito)."""
@@ -41,7 +43,7 @@ def motion_figure(result: Identification) -> Figure:
             axis.plot(drive.t[rows], measured[rows], color=MEASURED, lw=1.6, label="measured")
             for fit, colour, word in ((result.first, BEFORE, "before"), (result.fit, AFTER, "after")):
                 shown = _shown(result, fit, i, j)
-                error = np.sqrt(np.nanmean((shown - measured)[rows] ** 2))
+                error = rms((shown - measured)[rows][settled(drive.normal)[rows]])
                 axis.plot(drive.t[rows], shown[rows], color=colour, lw=1.0, label=f"{word}: rms {error:.3g}")
             reach = 1.3 * float(np.abs(measured[rows]).max())
             axis.set_ylim(-reach, reach)
@@ -49,8 +51,10 @@ def motion_figure(result: Identification) -> Figure:
             axis.legend(fontsize=7)
     for axis in axes[-1]:
         axis.set_xlabel("t [s]")
+    count = len(result.problem.drives)
+    some = f" (the first {MOST_LOGS} of {count} logs)" if count > MOST_LOGS else ""
     figure.suptitle(
-        f"{result.vehicle.name}: the single track, driven by steering and speed, against the sensors"
+        f"{result.vehicle.name}: the model, driven by steering and speed, against the sensors{some}"
     )
     return figure
 

@@ -12,7 +12,7 @@ from crosscomb.models.vehicle import Vehicle
 from crosscomb.prepare import speed_from_wheels
 from crosscomb.signals import MIN_SPEED, Signals
 
-RATE = 50.0
+RATE = 100.0
 """Working rate [Hz]: ten times the frequencies in which a car answers its steering."""
 CUT_OFF = 4.0
 """Everything above [Hz] is taken out of all channels alike, so that they keep their phase to each other."""
@@ -22,7 +22,7 @@ NORMAL_AY = 8.0
 """Lateral acceleration [m/s^2] up to which the single track holds on a dry road; beyond, everything slides."""
 MOST_AX = 3.0  # [m/s^2] under harder braking or drive the single track is wrong
 STANDSTILL_SPEED = 0.15  # [m/s] some speed sensors rest above zero
-ENDS = 8
+ENDS = 16
 """Rows left out at the end of a stretch: more than the largest latency."""
 DERIVED = 1e-3
 """steer made of steer_wheel follows it to this share of its spread."""

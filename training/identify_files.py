@@ -17,6 +17,7 @@ from crosscomb.models.vehicle import vehicle_text
 from crosscomb.prepare import complete
 from crosscomb.signals import REFERENCES
 from crosscomb.training.identify import Identification, identify
+from crosscomb.training.identify_drive import settled
 from crosscomb.training.identify_findings import SAID, Finding
 from crosscomb.training.identify_handling import shown_motion
 from crosscomb.training.identify_parameters import IN_VEHICLE
@@ -162,14 +163,20 @@ def interval(one: Finding) -> str:
     return f"{one.low:.6g} to {one.high:.6g}"
 
 
+def rms(values: np.ndarray) -> float:
+    """Root of the mean square of what is finite; NaN where nothing is."""
+    values = values[np.isfinite(values)]
+    return float(np.sqrt(np.mean(values**2))) if len(values) else float("nan")
+
+
 def motion_rows(result: Identification) -> list[list[str]]:
     """For each log: what is left of yaw rate [rad/s] and ay [m/s^2] against the model, before and after (rms)."""
     rows = []
     for i, drive in enumerate(result.problem.drives):
-        cells = [drive.name]
+        cells, counted = [drive.name], settled(drive.normal)
         for output, measured in enumerate((drive.yaw_rate, drive.ay)):
             for fit in (result.first, result.fit):
                 miss = shown_motion(result.problem, fit, i)[output] - measured
-                cells.append(_short(float(np.sqrt(np.nanmean(miss[drive.normal] ** 2)))))
+                cells.append(_short(rms(miss[counted])))
         rows.append(cells)
     return rows

@@ -29,12 +29,15 @@ from crosscomb.training.identify_parameters import (
 
 FIRST_ERROR = (0.02, 0.4, 0.01)  # of the model before it is known [rad/s, m/s^2, rad]
 LEAST_ERROR = (0.004, 0.06, 0.002)
-THIN = 5
+THIN = 10
 """Every fifth row is compared: the channels hold nothing faster."""
 BLOCK = int(2.0 * RATE)
 """Rows whose errors are taken as dependent on each other for the intervals."""
 LINEAR_AY = 4.0
 """Above this ay [m/s^2] errors count as larger by the square of the excess: there the tyre law errs first."""
+TIGHT_BEND = 0.12
+"""Road-wheel angle [rad] that the bend asks for, above which errors count as larger by the square of the excess: there
+the geometry of the steering errs, and the speed that wheels at an angle tell."""
 STRAIGHT_AY = 0.7
 STRAIGHT_ERROR = 4.0
 """In straight driving, below this ay [m/s^2] for two seconds, errors count as so much larger: there the play and
@@ -51,18 +54,19 @@ class _Runner:
         self.rows = [rows, rows, rows & np.isfinite(drive.beta)]
         straight = maximum_filter1d(np.abs(drive.ay), int(2.0 * RATE)) < STRAIGHT_AY
         near_limit = np.maximum(1.0, (drive.ay / LINEAR_AY) ** 2)
-        self.unsure = np.where(straight, STRAIGHT_ERROR, near_limit)
+        bend = np.abs(vehicle.wheelbase * drive.yaw_rate / drive.vx)
+        tight = np.maximum(1.0, (maximum_filter1d(bend, int(RATE)) / TIGHT_BEND) ** 2)
+        self.unsure = np.where(straight, STRAIGHT_ERROR, near_limit * tight)
         self.kept: dict[tuple, Motion] = {}
 
     def motion(self, car: dict[str, float], sensing: Sensing) -> Motion:
         single = tyre_car(self.vehicle, car)
         steering = (sensing.ratio, sensing.steer_scale, sensing.steer_offset)
-        key = (single, *steering, sensing.yaw_bias, sensing.yaw_delay)
+        key = (single, car["friction"], *steering, sensing.yaw_bias, sensing.yaw_delay)
         if key not in self.kept:
             if len(self.kept) > 1:
                 self.kept.pop(next(reversed(self.kept)))
-            relaxation = self.vehicle.tyre.relaxation_length
-            self.kept[key] = run_model(self.drive, self.running, single, relaxation, sensing)
+            self.kept[key] = run_model(self.drive, self.running, single, car["friction"], sensing)
         return self.kept[key]
 
     def residuals(self, car: dict[str, float], offsets: dict[str, float]) -> np.ndarray:

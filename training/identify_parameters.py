@@ -7,7 +7,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from crosscomb.models.single_track import SingleTrack, single_track
+from crosscomb.models.plant import PlantParameters, make_plant
+from crosscomb.models.tyres_combined import FIRM_GROUND
 from crosscomb.models.vehicle import Vehicle
 from crosscomb.training.identify_drive import Drive
 from crosscomb.training.identify_motion import Sensing
@@ -44,7 +45,18 @@ CAR = (
     Sought("yaw_delay", 0.06, step=0.002),
     Sought("ay_delay", 0.06, step=0.002),
     Sought("beta_delay", 0.06, step=0.002),
+    Sought("relaxation_length", 0.15, True, step=0.02),
+    Sought("stiffness_peak_load", 0.25, True, step=0.02),
+    Sought("roll_share_front", 0.05, step=0.01),
+    Sought("differential_lock", 3.0, step=0.3),
 )
+NUISANCES = {
+    "relaxation_length": "tyre",
+    "stiffness_peak_load": "tyre",
+    "roll_share_front": "plant",
+    "differential_lock": "plant",
+}
+"""What is only sought so that nothing else stands in for it, with the table of the vehicle file that guesses it."""
 LOG = (
     Sought("steer_offset", 0.03, step=1e-4),
     Sought("yaw_bias", 0.01, step=1e-4),
@@ -123,19 +135,28 @@ def make_sensing(car: dict[str, float], offsets: dict[str, float]) -> Sensing:
     return Sensing(ratio=car["steering_ratio"], **offsets, **{name: car[name] for name in common})
 
 
-def tyre_car(vehicle: Vehicle, car: dict[str, float]) -> SingleTrack:
-    """Single track with the parameters of a fit and the rational tyre.
+def tyre_car(vehicle: Vehicle, car: dict[str, float]) -> PlantParameters:
+    """The car with the parameters of a fit, as the simulation plant takes it.
 
-    Its curve is, up to the third power of the slip angle, that of the plant's default Magic Formula.
+    Unlike in the plant, stiffness does not fall with the friction of the road: that on these roads is sought.
     """
-    return single_track(vehicle, "rational")._replace(
-        a=vehicle.wheelbase - car["cg_to_rear_axle"],
-        b=car["cg_to_rear_axle"],
-        yaw_inertia=car["yaw_inertia"],
-        stiffness_front=car["cornering_stiffness_front"],
-        stiffness_rear=car["cornering_stiffness_rear"],
-        friction=car["friction"],
+    b = car["cg_to_rear_axle"]
+    given = {
+        name: car[name] for name in ("yaw_inertia", "cornering_stiffness_front", "cornering_stiffness_rear")
+    }
+    moved = {"cg_to_front_axle": vehicle.wheelbase - b, "cg_to_rear_axle": b}
+    inner = {
+        table: getattr(vehicle, table).model_copy(
+            update={name: car[name] for name, its in NUISANCES.items() if its == table}
+        )
+        for table in ("tyre", "plant")
+    }
+    plant = make_plant(vehicle.model_copy(update=given | moved | inner))
+    yielding = np.sqrt(min(car["friction"] / FIRM_GROUND, 1.0))
+    front, rear = (
+        tyre._replace(stiffness=tyre.stiffness / yielding) for tyre in (plant.tyre_front, plant.tyre_rear)
     )
+    return plant._replace(tyre_front=front, tyre_rear=rear)
 
 
 @dataclass(frozen=True)
@@ -167,4 +188,6 @@ def before_value(vehicle: Vehicle, name: str) -> float:
     """Value before: the vehicle file's, or that of a sensor without fault."""
     if name == "steer_scale":
         return 1.0
+    if name in NUISANCES:
+        return float(getattr(getattr(vehicle, NUISANCES[name]), name))
     return float(getattr(vehicle, name)) if name in IN_VEHICLE else 0.0

@@ -20,7 +20,7 @@ STILL_FLOOR = {"ax": 0.06, "ay": 0.06, "yaw_rate": 0.0004}
 OTHER_LOG = {"ax": 0.06, "ay": 0.12, "yaw_rate": 0.001}
 """The same for the mean at standstill of another log."""
 KINEMATIC_ERROR = 0.3  # [m/s^2] of ay against the ground truth, before it is known
-THIN = 5
+THIN = 10
 BLOCK = int(2.0 * RATE)
 
 Known = dict[str, tuple[float, float]]

@@ -83,7 +83,7 @@ def _points(drive: Drive, vehicle: Vehicle, fit: Fit, i: int) -> np.ndarray:
     """Slip angle [rad] and force over load [-] of the front, then of the rear axle ``(4, m)``."""
     sensing = fit.sensing(i)
     a, b, mass = vehicle.cg_to_front_axle, vehicle.cg_to_rear_axle, vehicle.mass
-    steer = road_wheel_angle(drive, sensing)
+    steer = road_wheel_angle(drive, sensing, vehicle.plant.steer_lag)
     yaw_rate, ay = _corrected(drive, sensing)
     turning = np.gradient(yaw_rate, drive.t)
     beta = _sideslip(drive, vehicle, fit, sensing, yaw_rate, ay)
@@ -114,7 +114,7 @@ def _sideslip(
     if np.isfinite(drive.beta).any():
         return np.interp(drive.t + sensing.beta_delay, drive.t, drive.beta) - sensing.beta_bias
     car = tyre_car(vehicle, fit.car)
-    motion = run_model(drive, drive.normal, car, vehicle.tyre.relaxation_length, sensing)
+    motion = run_model(drive, drive.normal, car, fit.car["friction"], sensing)
     good = settled(drive.normal)
     lateral = np.where(good, drive.vx * np.tan(motion.beta), np.nan)
     known = np.flatnonzero(good)
