@@ -240,7 +240,7 @@ def advance(stream: Stream, rows: np.ndarray) -> Answers:
 
 def to_estimate(plan: Plan, signals: Signals, answers: Answers) -> LogEstimate:
     """Put names to the answers at the rows of a completed log."""
-    beta, beta_std, *numbers = answers.numbers.T.copy()
+    beta, beta_std, vx, curvature, doubt, front, rear, understeer, *filters = answers.numbers.T.copy()
     active, status, state = answers.codes.T
     return LogEstimate(
         signals,
@@ -248,9 +248,9 @@ def to_estimate(plan: Plan, signals: Signals, answers: Answers) -> LogEstimate:
         beta_std,
         np.array(plan.names)[active],
         TEXTS[status],
-        dict(zip(plan.names, numbers[6:], strict=True)),
-        Motion(*numbers[:3]),
-        Handling(*numbers[3:6], np.array(STATES, dtype=object)[state]),
+        dict(zip(plan.names, filters, strict=True)),
+        Motion(vx, curvature, doubt),
+        Handling(front, rear, understeer, np.array(STATES, dtype=object)[state]),
     )
 
 
@@ -305,19 +305,18 @@ class StreamingEstimator:
         row = sample_row(sample)
         answers = self._take(row[None, :])
         plan = self._stream.plan
-        beta, beta_std, *numbers = answers.numbers[0].tolist()
+        beta, beta_std, vx, curvature, doubt, front, rear, understeer, *filters = answers.numbers[0].tolist()
         active, status, state = answers.codes[0].tolist()
-        motion = Motion(*numbers[:3])
         return StreamEstimate(
             float(row[_T]),
             beta,
             beta_std,
             plan.names[active],
             TEXTS[status],
-            dict(zip(plan.names, numbers[6:], strict=True)),
-            point_velocity(beta, beta_std, *motion, 0.0, 0.0)[1],
-            motion,
-            Handling(*numbers[3:6], STATES[state]),
+            dict(zip(plan.names, filters, strict=True)),
+            point_velocity(beta, beta_std, vx, curvature, doubt, 0.0, 0.0)[1],
+            Motion(vx, curvature, doubt),
+            Handling(front, rear, understeer, STATES[state]),
         )
 
     def take(self, chunk: Signals | pd.DataFrame) -> LogEstimate:

@@ -106,6 +106,13 @@ def test_what_is_made_does_not_depend_on_later_rows(vehicle: Vehicle, stop: int)
     pd.testing.assert_frame_equal(cut.frame, complete(log, vehicle).frame.iloc[:stop], check_exact=True)
 
 
+def test_completing_twice_changes_nothing_more(vehicle: Vehicle) -> None:
+    once = complete(late(vehicle), vehicle)
+    twice = complete(once, vehicle)
+    pd.testing.assert_frame_equal(twice.frame, once.frame, check_exact=True)
+    assert twice.notes == once.notes
+
+
 def test_slope_is_exact_on_a_line_at_any_spacing_and_far_from_zero_time() -> None:
     rng = np.random.default_rng(2)
     t = 5e5 + np.cumsum(rng.uniform(0.001, 0.02, 500))

@@ -28,8 +28,8 @@ def artefact() -> Artefact:
 
 @pytest.fixture(scope="module")
 def log() -> Signals:
-    """Ten seconds of bends and slides."""
-    return simulate_log(CAR, "road_slide", 3, surface="wet", duration=10.0)
+    """Six seconds of bends and slides."""
+    return simulate_log(CAR, "road_slide", 3, surface="wet", duration=6.0)
 
 
 def in_chunks(live: StreamingEstimator, log: Signals, lengths: list[int]) -> list[LogEstimate]:
