@@ -9,6 +9,8 @@ import numpy as np
 from numba import njit
 from pydantic import BaseModel, ConfigDict, Field
 
+from crosscomb.filters.base import MAX_BETA
+
 
 class SwitchSettings(BaseModel):
     """How decisions become switches, in seconds so that they hold at every rate.
@@ -153,6 +155,8 @@ def switch_step(state, beta, beta_std, wanted, times):
     faded = (1.0 - times.decay) * values[0]
     values[0] -= min(max(faded, -times.most), times.most)
     values[1] = beta[current] + values[0]
+    if abs(values[1]) > MAX_BETA:  # what is left of a step points beyond what a filter may say
+        values[1] = math.copysign(MAX_BETA, values[1])
     counts[4] += 1
     # While the old estimate fades out, what parts it from the new one is doubt.
     return values[1], math.sqrt(beta_std[current] ** 2 + values[0] * values[0]), current

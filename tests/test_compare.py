@@ -12,7 +12,7 @@ from crosscomb.artefact import Artefact, load_artefact, save_artefact
 from crosscomb.estimate import estimate_log
 from crosscomb.stream import StreamingEstimator
 from crosscomb.training import compare as compare_module
-from crosscomb.training import fit_boosted
+from crosscomb.training import fit_boosted, fit_correction
 from crosscomb.training.bank import BankRun, run_bank
 from crosscomb.training.compare import (
     Comparison,
@@ -31,10 +31,10 @@ from crosscomb.tree_view import tree_figure, tree_text
 
 @pytest.fixture(scope="module")
 def small_trees():
-    """Few boosting rounds: the rules are tested here, not the accuracy."""
+    """Few rounds of boosting and of training: the rules are tested here, not the accuracy."""
     with pytest.MonkeyPatch.context() as patch:
-        for name in ("ITERATIONS", "CHOICE_ITERATIONS", "DOUBT_ITERATIONS"):
-            patch.setattr(fit_boosted, name, 8)
+        patch.setattr(fit_boosted, "ITERATIONS", 8)
+        patch.setattr(fit_correction, "EPOCHS", 2)
         yield
 
 
