@@ -268,13 +268,19 @@ def estimate(
     handling: Annotated[
         bool, typer.Option("--handling", help="Also write slip angles, understeer and oversteer.")
     ] = False,
+    extras: Annotated[
+        bool,
+        typer.Option(
+            "--extras", help="Also write what estimators tell beside beta: forces, tyre parameters, shares."
+        ),
+    ] = False,
 ) -> None:
     """Estimate the sideslip angle of logs; with ground truth in them, also score it."""
     from crosscomb import terminal
     from crosscomb.artefact import load_artefact
     from crosscomb.channel_map import load_map
     from crosscomb.drive import name_filters
-    from crosscomb.estimate import estimate_log, open_logs, write_estimate, write_table
+    from crosscomb.estimate import estimate_log, extra_outputs, open_logs, write_estimate, write_table
     from crosscomb.files import run_record, write_json
     from crosscomb.training.metrics import score_log
     from crosscomb.tuned import load_tuned, require_used
@@ -294,6 +300,9 @@ def estimate(
         for log in opened:
             result = estimate_log(log.signals, log.vehicle, artefact, names or None, given)
             name = log.signals.name
+            if extras:
+                told = extra_outputs(log.signals, log.vehicle, artefact, names or None, given)
+                write_table(told, output / f"{name}.extras.csv")
             write_estimate(result, output / f"{name}.estimate.csv")
             if spot is not None:
                 write_table(result.point_table(*spot), output / f"{name}.point.csv")
@@ -308,14 +317,11 @@ def estimate(
             inputs = [log.path, *_existing(selector_file, channel_map, tuned, log.origin)]
             write_json(output / f"{name}.run.json", run_record("estimate", settings, inputs))
             if plot:
-                from crosscomb.report import plot_estimate
-                from crosscomb.stream import make_plan
-                from crosscomb.trace_view import plot_traces
+                from crosscomb.report import plot_estimate, plot_extras
 
-                title = f"{name}, {log.vehicle.name}"
-                plot_estimate(result, output / f"{name}.estimate.png", title)
-                plan = make_plan(log.vehicle, artefact, names or None, given)
-                plot_traces(plan, result.signals, output / f"{name}.traces.png", title)
+                plot_estimate(result, output / f"{name}.estimate.png", f"{name}, {log.vehicle.name}")
+                if extras:
+                    plot_extras(told, output / f"{name}.extras.png", f"{name}, {log.vehicle.name}")
             notes += [f"{name}: {note}" for note in result.signals.notes]
             if result.signals.has_reference:
                 scores[name] = score_log(result)

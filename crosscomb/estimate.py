@@ -16,7 +16,8 @@ from crosscomb.drive import next_seen, start_drive
 from crosscomb.errors import UsageError
 from crosscomb.features import all_features, make_memory
 from crosscomb.files import refuse_overwriting, write_text
-from crosscomb.filters.base import Inputs, KernelFilter
+from crosscomb.filters.base import Inputs, KernelFilter, make_inputs
+from crosscomb.filters.catalogue import CATALOGUE
 from crosscomb.logs import log_name, read_log
 from crosscomb.models.vehicle import Vehicle, load_vehicle
 from crosscomb.plausibility import check_units
@@ -27,7 +28,15 @@ from crosscomb.stream import LogEstimate, Stream, advance, make_plan, to_estimat
 from crosscomb.tuned import Tuned
 from crosscomb.windows import WindowSettings
 
-OUTPUTS = (".estimate.csv", ".estimate.png", ".traces.png", ".point.csv", ".handling.csv", ".run.json")
+OUTPUTS = (
+    ".estimate.csv",
+    ".estimate.png",
+    ".point.csv",
+    ".handling.csv",
+    ".extras.csv",
+    ".extras.png",
+    ".run.json",
+)
 """Endings of what is written for a log."""
 
 GENERIC = "generic_compact"
@@ -130,6 +139,49 @@ def estimate_log(
         note = f"{plan.names[0]} is the answer: the selector needs all of {needed}"
         signals = replace(signals, notes=(*signals.notes, note))
     return to_estimate(plan, signals, advance(Stream(plan), signals.rows()))
+
+
+def extra_outputs(
+    signals: Signals,
+    vehicle: Vehicle,
+    artefact: Artefact,
+    filters: Sequence[str] | None = None,
+    tuned: Tuned | None = None,
+) -> pd.DataFrame:
+    """What the estimators tell beside beta: forces, yaw moment, friction in use, tyre parameters, shares.
+
+    Parameters
+    ----------
+    signals, vehicle, artefact, filters, tuned
+        As in `estimate_log`.
+
+    Returns
+    -------
+    pandas.DataFrame
+        At each row t [s] and a column ``<filter> <quantity> [unit]`` for each.
+
+    Raises
+    ------
+    UsageError
+        None of the estimators tells more than beta.
+    """
+    plan = make_plan(vehicle, artefact, filters, tuned)
+    telling = {name: made for name, made in zip(plan.names, plan.filters, strict=True) if made.extras}
+    if not telling:
+        others = [name for name, entry in CATALOGUE.items() if entry.load().extras]
+        raise UsageError(
+            f"--extras: {', '.join(plan.names)}: no more than beta to tell: name by --filters one of "
+            f"{', '.join(others)}"
+        )
+    signals, parts = complete(signals, vehicle), []
+    for segment in resample(signals, artefact.rate):
+        inputs = make_inputs(segment.signals, vehicle, 1.0 / artefact.rate)
+        columns = {"t": signals.t[segment.start_row : segment.stop_row]}
+        for name, made in telling.items():
+            extra = made.run(inputs).extra
+            columns |= {f"{name} {key}": values[segment.newest] for key, values in extra.items()}
+        parts.append(pd.DataFrame(columns))
+    return pd.concat(parts, ignore_index=True)
 
 
 @dataclass(frozen=True)

@@ -98,6 +98,35 @@ def plot_estimate(estimate: LogEstimate, path: Path, title: str) -> None:
     save_figure(estimate_figure(estimate, title), path)
 
 
+def extras_figure(table: pd.DataFrame, title: str) -> Figure:
+    """Draw what estimators tell beside beta, each quantity over time, that of all estimators in one picture.
+
+    Parameters
+    ----------
+    table : pandas.DataFrame
+        As made by `crosscomb.estimate.extra_outputs`.
+    title : str
+    """
+    told = [str(column).partition(" ") for column in table.columns.drop("t")]
+    quantities = list(dict.fromkeys(quantity for _, _, quantity in told))
+    figure = Figure(figsize=(12, 1.2 + 1.9 * len(quantities)), layout="constrained")
+    axes = figure.subplots(len(quantities), 1, sharex=True, squeeze=False)[:, 0]
+    for axis, quantity in zip(axes, quantities, strict=True):
+        for name in (name for name, _, other in told if other == quantity):
+            axis.plot(table["t"] - table["t"].iloc[0], table[f"{name} {quantity}"], lw=0.9, label=name)
+        axis.set_ylabel(quantity.replace(" [", "\n["), fontsize=8)
+        axis.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), fontsize=8, frameon=False)
+        axis.grid(alpha=0.3)
+    axes[0].set_title(title)
+    axes[-1].set_xlabel("t [s]")
+    return figure
+
+
+def plot_extras(table: pd.DataFrame, path: Path, title: str) -> None:
+    """Write the picture of what estimators tell beside beta as PNG."""
+    save_figure(extras_figure(table, title), path)
+
+
 def confusion_figure(confusion: np.ndarray, names: Sequence[str]) -> Figure:
     """Draw a confusion matrix with counts and row shares.
 

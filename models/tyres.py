@@ -100,10 +100,10 @@ def modified_dugoff_tyre(slip_angle, stiffness, capacity, friction):
     """Modified Dugoff tyre: Dugoff's force times a gain that falls with slip, so the curve has a peak.
 
     gain = (friction - 1.6) tan|slip angle| + 1.155, after Bian, Chen, Luo and Li (SAE 2014-01-0123), the law
-    behind Villano 2021. Neither text was at hand: form and constants are from memory and were not checked
-    against a source; compare them before you build on them. Dugoff's stiffness is divided by 1.155, so
-    `stiffness` stays the slope at zero slip; and the gain, a fit for moderate slip that would turn negative,
-    ends at 0.3.
+    behind Villano 2021. Neither text was at hand: the form and the 1.6 agree with a public implementation that
+    names the former, the 1.155 (there 1.5, on another scale) was not confirmed; compare them before you build on
+    them. Dugoff's stiffness is divided by 1.155, so `stiffness` stays the slope at zero slip; and the gain, a fit
+    for moderate slip that would turn negative, ends at 0.3.
 
     Parameters
     ----------

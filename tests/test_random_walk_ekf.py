@@ -3,6 +3,7 @@
 import math
 
 import numpy as np
+import pandas as pd
 import pytest
 from scipy.stats import chi2
 
@@ -10,7 +11,7 @@ from crosscomb.filters import base
 from crosscomb.filters.base import SAMPLE_WIDTH, Inputs
 from crosscomb.filters.catalogue import make_filter, settings_of
 from crosscomb.filters.double_track_random_walk_ekf import DoubleTrackRandomWalkEKF, DoubleWalkNoise
-from crosscomb.filters.random_walk_ekf import RandomWalkEKF, WalkNoise
+from crosscomb.filters.random_walk_ekf import FORCE_EXTRAS, RandomWalkEKF, WalkNoise
 from crosscomb.filters.reference_random_walk import (
     reference_double_track_random_walk_ekf,
     reference_random_walk_ekf,
@@ -21,6 +22,7 @@ from crosscomb.models.single_track import single_track, single_track_rates
 from crosscomb.models.vehicle import load_vehicle
 from crosscomb.signals import GRAVITY
 from crosscomb.training.paper_benchmarks_adaptive import EVOQUE, RAMP_BAR, pieralice_figure_2, ramp_steer
+from crosscomb.training.simulate import simulate_log
 
 GOLF = load_vehicle("golf_gti_2018")
 CAR = single_track(GOLF)
@@ -291,3 +293,23 @@ def test_rebuilt_figure_2_says_what_its_numbers_say() -> None:
     for said, bar in ((within, RAMP_BAR), (closer, largest["EKF"])):
         for name in table.index[1:]:
             assert (name in said.split("not:")[0]) == (largest[name] <= bar)
+
+
+def test_a_log_gives_forces_and_yaw_moment_from_the_command_line(crosscomb, write_log, tmp_path) -> None:
+    log = simulate_log(GOLF, "slalom", 5, duration=8.0)
+    path = write_log(log.frame, tmp_path / "slalom.csv")
+    words = ("estimate", path, "--vehicle", "golf_gti_2018", "-o", tmp_path / "out", "--extras")
+    ran = crosscomb(*words, "--filters", "random_walk_ekf,double_track_random_walk_ekf,dynamic_ekf", "--plot")
+    assert (ran.code, ran.err) == (0, "")
+    table = pd.read_csv(tmp_path / "out" / "slalom.extras.csv")
+    assert table["t"].tolist() == log.t.tolist()
+    for name in BOTH:
+        assert {f"{name} {key}" for key in FORCE_EXTRAS} <= set(table.columns)
+        force, ay = table[f"{name} lateral_force [N]"][200:], GOLF.mass * log.column("ay")[200:]
+        assert np.corrcoef(force, ay)[0, 1] > 0.98
+    assert (tmp_path / "out" / "slalom.extras.png").stat().st_size > 10_000
+    ran = crosscomb(*words, "--filters", "dynamic_ekf", "-o", tmp_path / "none")
+    assert ran.code == 2
+    assert "random_walk_ekf" in ran.err
+    assert len(ran.err.splitlines()) == 1
+    assert not (tmp_path / "none").exists()

@@ -14,7 +14,6 @@ from matplotlib.figure import Figure
 from crosscomb import terminal
 from crosscomb.artefact import load_artefact
 from crosscomb.estimate import estimate_log
-from crosscomb.prepare import complete
 from crosscomb.report import (
     beside_artefact,
     confusion_figure,
@@ -28,8 +27,6 @@ from crosscomb.report import (
 )
 from crosscomb.results import TITLE, markdown_table, score_rows, write_section
 from crosscomb.signals import make_signals
-from crosscomb.stream import make_plan
-from crosscomb.trace_view import plot_traces, trace_figure, traces
 from crosscomb.training.train import Training, train
 
 NAMES = ["kinematic_kf", "dynamic_ekf", "random_walk_pf"]
@@ -155,23 +152,6 @@ def test_the_picture_shows_beta_every_filter_and_the_reference(simulated, car, t
     plot_estimate(estimate, tmp_path / "b.png", "log")
     assert pixels((tmp_path / "a.png").read_bytes())[0] > 800
     assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
-
-
-def test_traces_show_what_adaptive_filters_adapt(simulated, car, tmp_path):
-    artefact, adaptive = load_artefact(), ["lint_ekf", "friction_adaptive_ekf"]
-    plan, signals = make_plan(car, artefact, [*NAMES, *adaptive]), complete(simulated[2], car)
-    found = traces(plan, signals)
-    assert list(found.values) == adaptive
-    stiffness = found.values["lint_ekf"]["cornering_stiffness_front [N/rad]"]
-    assert stiffness.shape == found.t.shape
-    assert stiffness[0] == pytest.approx(car.cornering_stiffness_front)
-    lines = lines_of(trace_figure(plan, signals, "log"))
-    np.testing.assert_array_equal(lines["lint_ekf"], stiffness)
-    assert lines["vehicle file"][0] == car.cornering_stiffness_front
-    plot_traces(plan, signals, tmp_path / "a.png", "log")
-    assert pixels((tmp_path / "a.png").read_bytes())[0] > 800
-    plot_traces(make_plan(car, artefact), signals, tmp_path / "none.png", "log")
-    assert not (tmp_path / "none.png").exists()
 
 
 @pytest.mark.parametrize("change", [{"vx": 0.0}, {"ay": np.nan}, {"vx": np.nan}], ids=str)

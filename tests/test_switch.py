@@ -220,3 +220,16 @@ def test_a_large_step_does_not_show_as_a_jump():
     assert set(active) == {0, 1}
     assert np.degrees(np.abs(np.diff(out)).max()) < 0.3
     assert out[1200] == pytest.approx(0.3, abs=1e-3)
+
+
+def test_what_is_left_of_a_step_never_points_beyond_what_a_filter_may_say():
+    """From a filter that has run off to one that swings away: their step fades on top of the swing."""
+    most = np.radians(80.0)
+    beta = np.stack([np.full(N, most), 0.2 * np.sin(2.0 * DT * np.arange(N)) ** 2], axis=1)
+    decision = np.where(np.arange(N) < 100, 0, 1)
+    settings = SwitchSettings(dwell=0.0, confirm=0.0, transition=2.0)
+    out, out_std, active = switch(beta, np.full((N, 2), 0.01), decision, settings, DT, 0)
+    assert active[200] == 1
+    assert np.abs(out).max() <= most
+    assert np.isfinite(out_std).all()
+    np.testing.assert_allclose(out[-1], beta[-1, 1], atol=1e-3)

@@ -32,10 +32,11 @@ def fit_trees(
     features : (w, f) float32
     target : (w,)
     seed : int
-    iterations : int
+    iterations : int, optional
+        Else `ITERATIONS`.
     """
     model = HistGradientBoostingRegressor(
-        max_iter=iterations, max_leaf_nodes=LEAVES, learning_rate=LEARNING_RATE, l2_regularization=1.0,
+        max_iter=iterations or ITERATIONS, max_leaf_nodes=LEAVES, learning_rate=LEARNING_RATE, l2_regularization=1.0,
         min_samples_leaf=40, max_features=0.3, early_stopping=False, random_state=seed,
     )  # fmt: skip
     return model.fit(features, target)

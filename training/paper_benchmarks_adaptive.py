@@ -100,7 +100,8 @@ def _truck_verdict(table: pd.DataFrame) -> str:
     start = "RATTE wins as published" if len(wins) == len(orders) else "Unlike published, RATTE does not win"
     if wins and len(wins) < len(orders):
         start = f"RATTE wins as published on the {wins[0]}, not elsewhere"
-    return f"{start} (paper: RATTE, RATT, LINT; {told})."
+    truck = "The paper's table of its vehicle did not survive: the truck, its load and its roads are ours."
+    return f"{start} (paper: RATTE, RATT, LINT; {told}). {truck}"
 
 
 def _score_truck(truck: Vehicle, manoeuvre: str, seed: tuple[int, ...], duration: float) -> dict[str, float]:
