@@ -97,7 +97,7 @@ def show_comparison(comparison: Comparison) -> None:
     rows = [
         [*index, f"{row['ratio']:.3f}", f"{row['ratio low']:.2f} to {row['ratio high']:.2f}",
          *(number(row[name]) for name in comparison.summary.columns[3:])]
-        for index, row in comparison.summary.iterrows()
+        for index, row in zip(comparison.summary.index.tolist(), comparison.summary.to_dict("records"), strict=True)
     ]  # fmt: skip
     header = ["selector", "left out", "switch / best single", "95 %", *comparison.summary.columns[3:]]
     show("Selectors on recordings they were not fitted on", header, rows, left=2)

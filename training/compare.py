@@ -65,7 +65,8 @@ def driving_of(recording: Recording) -> tuple[str, str]:
     if not card.is_file():
         return "", ""
     logs = json.loads(card.read_text(encoding="utf-8")).get("logs", [])
-    entry = next((one for one in logs if one.get("log") == recording.name.rsplit("/", 1)[-1]), {})
+    name = recording.name.rsplit("/", 1)[-1]
+    entry: dict[str, object] = next((one for one in logs if one.get("log") == name), {})
     return str(entry.get("manoeuvre", "")), str(entry.get("surface", ""))
 
 
@@ -124,7 +125,8 @@ def compare(
     banks = [bank.only(range(len(entries))) for bank in every]
     references = score_filters(every, [entry.name for entry in [*entries, *beside]])
     schemes = schemes_of(recordings, folds, seed)
-    rows, of_folds = [], {}
+    rows: list[dict[str, object]] = []
+    of_folds: dict[str, Evaluation] = {}
     for selector, kind in SELECTORS.items():
         seen = [with_windows(bank, kind.window) for bank in banks]
         windows = [bank.windows(kind.window, kind.needs_all) for bank in seen]
@@ -139,7 +141,7 @@ def compare(
             )
             rows.append({"selector": selector, "scheme": scheme, **summary_of(judged, seed)})
             of_folds.setdefault(selector, judged)
-    driving = {one.name: driving_of(one)[0] or one.vehicle.name for one in recordings}
+    driving = pd.Series({one.name: driving_of(one)[0] or one.vehicle.name for one in recordings})
     return Comparison(
         summary=pd.DataFrame(rows).set_index(["selector", "scheme"]),
         references=pd.DataFrame(

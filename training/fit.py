@@ -296,7 +296,8 @@ class Fitter:
     def fit(self, members: Sequence[int]) -> tuple[Artefact, TreeShape]:
         """Fit on some recordings: the shape of the tree and the trust are found on folds inside them."""
         inner = grouped_folds(list(members), INNER_FOLDS, self.seed)
-        left_out, best = [], np.inf
+        left_out: list[tuple[list[int], Artefact]] = []
+        best = np.inf
         for candidate in self.kind.shapes:
             fitted = [(test, self._plain(fit, candidate)) for fit, test in inner]
             rmse = float(np.mean([self._rmse(i, artefact) for test, artefact in fitted for i in test]))
