@@ -5,7 +5,7 @@ from __future__ import annotations
 import tempfile
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -121,7 +121,7 @@ def _evaluate(
     if not filters:
         return evaluation
     beside = score_filters(banks, [entry.name for entry in entries]).iloc[:, 2 * len(artefact.filters) :]
-    return Evaluation(pd.concat([evaluation.table, beside], axis=1), evaluation.confusion)
+    return replace(evaluation, table=pd.concat([evaluation.table, beside], axis=1))
 
 
 def filter_speeds(
