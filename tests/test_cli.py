@@ -309,6 +309,17 @@ def test_benchmark_real_writes_its_table(crosscomb, data_set, tmp_path):
         assert word in ran.out
 
 
+def test_benchmark_takes_other_estimators_beside_the_switch(crosscomb, data_set, tmp_path):
+    data, results = tmp_path / "data", tmp_path / "results.md"
+    shutil.copytree(data_set, data / "compact")
+    words = ("benchmark", "real", "--data", data, "-o", results, "--jobs", 1)
+    ran = crosscomb(*words, "--filters", "luenberger,kinematic_kf")
+    assert ran.code == 0
+    assert "luenberger" in ran.out
+    header = next(line for line in results.read_text(encoding="utf-8").splitlines() if "recording" in line)
+    assert header.count("kinematic_kf") == header.count("luenberger") == 1
+
+
 def test_benchmark_simulated_prints_accuracy_and_speed(crosscomb, monkeypatch):
     monkeypatch.setattr(suites, "SIMULATED_LOGS", 2)
     ran = crosscomb("benchmark", "--jobs", 1)
