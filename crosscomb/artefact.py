@@ -23,6 +23,9 @@ from crosscomb.windows import WindowSettings
 
 SCHEMA_VERSION = 3
 
+SHIPPED = ("reference", "hybrid")
+"""Artefacts that come with the package: the default tree, and the learned correction."""
+
 
 class FilterSettings(BaseModel):
     """One filter that runs: its name in the catalogue and its settings."""
@@ -144,17 +147,22 @@ class Artefact(BaseModel):
 
 
 def load_artefact(path: str | Path | None = None) -> Artefact:
-    """Read and check an artefact; without a path the one that comes with the package.
+    """Read and check an artefact; without a path the tree that comes with the package.
+
+    Parameters
+    ----------
+    path : str or Path, optional
+        A file, or the name of one that comes with the package: `SHIPPED`.
 
     Raises
     ------
     UsageError
         The file is missing, no JSON, of another schema version, or unsound.
     """
-    if path is None:
-        entry = resources.files("crosscomb") / "data" / "reference.json"
-        return parse_artefact(entry.read_text(encoding="utf-8"), "reference.json")
-    path = Path(path)
+    path = Path("reference" if path is None else path)
+    if str(path) in SHIPPED:
+        entry = resources.files("crosscomb") / "data" / f"{path}.json"
+        return parse_artefact(entry.read_text(encoding="utf-8"), entry.name)
     try:
         text = path.read_text(encoding="utf-8")
     except FileNotFoundError:

@@ -17,7 +17,10 @@ MapOption = Annotated[
 ]
 SelectorFileOption = Annotated[
     Path | None,
-    typer.Option("--selector-file", help="Artefact of `crosscomb train`; default: the one shipped."),
+    typer.Option(
+        "--selector-file",
+        help="Artefact of `crosscomb train`, or `hybrid` for the shipped one that corrects; default: the shipped tree.",
+    ),
 ]
 FiltersOption = Annotated[
     str | None, typer.Option("--filters", help="Estimators by name, a,b,c, or all; see `crosscomb filters`.")

@@ -1,0 +1,114 @@
+"""The selectors on recordings they have not seen: fresh simulated logs, and the shared real set.
+
+Run with ``python benchmarks/selectors.py LEARN FRESH REAL [--selectors tree,hybrid] [--jobs 2]``. LEARN and FRESH hold
+one folder of simulated logs per car, of different seeds (CONTRIBUTING, "Training the shipped artefacts anew"); REAL
+holds the real logs. Three tables per selector, each beside the single filters and the oracle:
+
+- *simulated*: learned on all of LEARN, judged on FRESH;
+- *simulation only*: learned on LEARN's logs of the cars of the shared set, judged on the shared real set;
+- *leave one out*: each recording of the shared set is judged by what was learned on all other real recordings and a
+  hundred of those simulated logs.
+
+Nothing judged is seen in any fit, and nothing is chosen by these figures.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from joblib import Parallel, delayed
+from threadpoolctl import threadpool_limits
+
+from crosscomb.training.benchmark import SHARED_SET
+from crosscomb.training.compare import summary_of
+from crosscomb.training.evaluate import Evaluation, evaluate, pool
+from crosscomb.training.fit import Fitter
+from crosscomb.training.recordings import Recording, read_recordings
+from crosscomb.training.train import default_filters, make_fitter
+
+CARS = ("volvo_s90", "volvo_v40", "golf_gti_2018", "ferrari_250lm")
+"""Shipped vehicles of the shared real set."""
+
+BESIDE_REAL = 100
+"""Simulated logs beside the real ones where one real recording is left out."""
+
+LEAST_BEST = 0.98
+"""A best single filter worse than this on the shared set counts as this [deg]: weak filters must not flatter."""
+
+
+def read(folder: Path) -> list[Recording]:
+    """Recordings of a folder, those that cannot be used left out."""
+    return read_recordings(folder)[0]
+
+
+def fitter_of(recordings: Sequence[Recording], selector: str, jobs: int) -> Fitter:
+    """Filters run over the recordings, windows labelled."""
+    return make_fitter(recordings, selector, default_filters(recordings[0].vehicle), 1, jobs=jobs)
+
+
+def places(recordings: Sequence[Recording], wanted: Sequence[Recording]) -> list[int]:
+    """Where some recordings stand in a list."""
+    at = {one.path: i for i, one in enumerate(recordings)}
+    return [at[one.path] for one in wanted]
+
+
+def leave_one_out(
+    fitter: Fitter, real: list[int], simulated: list[int], shared: list[int], jobs: int
+) -> Evaluation:
+    """Each shared recording judged by what was learned without it."""
+
+    def judge(place: int) -> Evaluation:
+        artefact, _ = fitter.fit([*(i for i in real if i != place), *simulated])
+        return evaluate([fitter.banks[place]], artefact)
+
+    judged = Parallel(n_jobs=jobs, prefer="threads")(delayed(judge)(place) for place in shared)
+    return pool(judged)
+
+
+def show(title: str, evaluation: Evaluation) -> None:
+    """Print what counts of an evaluation."""
+    summary, means = summary_of(evaluation, 0), evaluation.rmse.mean()
+    print(f"\n{title}: {len(evaluation.table)} recordings")
+    print("  mean RMSE [deg]: " + ", ".join(f"{name} {value:.3f}" for name, value in means.items()))
+    print("  " + ", ".join(f"{name} {value:.3f}" for name, value in summary.items()))
+    if set(evaluation.table.index) <= set(SHARED_SET):
+        best = means[evaluation.best_single]
+        print(f"  RMSE / max(best single, {LEAST_BEST}) {means['switch'] / max(best, LEAST_BEST):.3f}")
+        print(evaluation.rmse.round(2).to_string())
+
+
+def main() -> None:
+    """Print the three tables of each selector."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("learn", type=Path)
+    parser.add_argument("fresh", type=Path)
+    parser.add_argument("real", type=Path)
+    parser.add_argument("--selectors", default="tree,hybrid")
+    parser.add_argument("--jobs", type=int, default=2)
+    options = parser.parse_args()
+    learn, fresh, real = read(options.learn), read(options.fresh), read(options.real)
+    shared = [one for one in real if one.name in SHARED_SET]
+    own = [one for one in learn if one.path.parent.name in CARS]
+    few = own[:: max(len(own) // BESIDE_REAL, 1)]
+    for selector in options.selectors.split(","):
+        with threadpool_limits(1):
+            fitter = fitter_of([*learn, *fresh], selector, options.jobs)
+            artefact, _ = fitter.fit(range(len(learn)))
+            show(f"{selector}, simulated", evaluate(fitter.banks[len(learn) :], artefact))
+            fitter = fitter_of([*own, *real], selector, options.jobs)
+            every = [*own, *real]
+            artefact, _ = fitter.fit(range(len(own)))
+            judged = places(every, shared)
+            show(f"{selector}, simulation only", evaluate([fitter.banks[i] for i in judged], artefact))
+            left = leave_one_out(fitter, places(every, real), places(every, few), judged, options.jobs)
+            show(f"{selector}, leave one out", left)
+
+
+if __name__ == "__main__":
+    np.set_printoptions(precision=3)
+    main()
