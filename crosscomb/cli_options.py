@@ -19,7 +19,7 @@ SelectorFileOption = Annotated[
     Path | None,
     typer.Option(
         "--selector-file",
-        help="Artefact of `crosscomb train`, or `hybrid` for the shipped one that corrects; default: the shipped tree.",
+        help="Artefact of `crosscomb train`, or `hybrid`: the shipped correction. Default: the shipped tree.",
     ),
 ]
 FiltersOption = Annotated[
