@@ -25,7 +25,7 @@ class Tree(BaseModel):
     shares : list of list of float
         Share of each class in a node.
     picks : list of int
-        Class that a leaf picks: mostly that of the largest share, see `crosscomb.training.fit.keep_what_is_sure`.
+        Class that a leaf picks: mostly that of the largest share, see `crosscomb.training.fit_tree.keep_what_is_sure`.
     lowest, highest : list of float
         Range of each feature in training.
     """

@@ -23,7 +23,8 @@ from crosscomb.models.vehicle import Vehicle, load_vehicle
 from crosscomb.prepare import complete
 from crosscomb.signals import Signals, make_signals
 from crosscomb.training.bank import run_bank
-from crosscomb.training.fit import SELECTORS, TreeShape, fit_tree, to_tree
+from crosscomb.training.fit import SELECTORS
+from crosscomb.training.fit_tree import TreeShape, fit_tree, to_tree
 from crosscomb.training.labels import Windows
 from crosscomb.training.metrics import countable, score
 from crosscomb.training.recordings import Recording, require_enough

@@ -23,7 +23,8 @@ from crosscomb.training.compare import (
     leave_one_out,
 )
 from crosscomb.training.evaluate import BANDS, evaluate
-from crosscomb.training.fit import SELECTORS, STATISTICS, Fitter, keep_what_is_sure
+from crosscomb.training.fit import SELECTORS, STATISTICS, Fitter
+from crosscomb.training.fit_tree import keep_what_is_sure
 from crosscomb.training.recordings import Recording
 from crosscomb.training.train import default_filters
 from crosscomb.tree_view import tree_figure, tree_text

@@ -7,7 +7,8 @@ from sklearn.tree import DecisionTreeClassifier
 
 from crosscomb.selector import Tree
 from crosscomb.training.bank import run_bank
-from crosscomb.training.fit import SELECTORS, TreeShape, fit_tree, to_tree
+from crosscomb.training.fit import SELECTORS
+from crosscomb.training.fit_tree import TreeShape, fit_tree, to_tree
 from crosscomb.training.labels import TIE, Windows, concatenate
 from crosscomb.training.recordings import Recording
 from crosscomb.training.train import default_filters

@@ -12,7 +12,8 @@ import pandas as pd
 from crosscomb.filters.catalogue import DEFAULT_FILTERS
 from crosscomb.training.bank import BankRun, run_bank
 from crosscomb.training.evaluate import SWITCH, Evaluation, evaluate, pool, score_filters
-from crosscomb.training.fit import SELECTORS, STATISTICS, Fitter, fit_tree, to_tree
+from crosscomb.training.fit import SELECTORS, STATISTICS, Fitter
+from crosscomb.training.fit_tree import fit_tree, to_tree
 from crosscomb.training.folds import grouped_folds
 from crosscomb.training.labels import concatenate
 from crosscomb.training.recordings import CARD, Recording, common_vehicle

@@ -6,13 +6,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from sklearn.tree import DecisionTreeClassifier
 
 from crosscomb.artefact import Artefact, FilterSettings, Trust
 from crosscomb.choice import Choice
 from crosscomb.correction import Correction
 from crosscomb.models.vehicle import Vehicle
-from crosscomb.selector import Tree
 from crosscomb.switch import SwitchSettings
 from crosscomb.training.bank import BankRun
 from crosscomb.training.fit_boosted import fit_choice, fit_temperature
@@ -25,29 +23,11 @@ from crosscomb.training.fit_correction import (
     left_over,
     recording_weights,
 )
+from crosscomb.training.fit_tree import TreeShape, fit_tree, keep_what_is_sure, to_tree
 from crosscomb.training.folds import grouped_folds
 from crosscomb.training.labels import Windows, concatenate
 from crosscomb.training.metrics import score
 from crosscomb.windows import WindowSettings
-
-
-@dataclass(frozen=True)
-class TreeShape:
-    """How large a tree may grow.
-
-    Attributes
-    ----------
-    depth : int
-    leaf : float
-        Least share of the weight in a leaf: fewer windows come from one or two recordings only.
-    pruning : float
-        Cost-complexity pruning: a branch must bring this much.
-    """
-
-    depth: int
-    leaf: float
-    pruning: float = 1e-4
-
 
 SHAPES = (TreeShape(4, 0.01), TreeShape(6, 0.005), TreeShape(8, 0.003))
 
@@ -113,9 +93,6 @@ SELECTORS: dict[str, SelectorKind] = {
     ),
 }  # fmt: skip
 
-MOST_WINDOWS = 60_000
-"""So many windows train a tree at most, evenly thinned: neighbours are near copies."""
-
 MOST_BALANCE = 8.0
 """A real recording counts at most so many times as much as a simulated one."""
 
@@ -130,104 +107,6 @@ FLOOR = np.radians(0.1)
 
 THINNING = 10
 """Every so many samples count in the calibration: neighbours say the same."""
-
-
-def fit_tree(
-    features: np.ndarray,
-    windows: Windows,
-    by_regret: bool,
-    shape: TreeShape,
-    seed: int,
-    weight: np.ndarray | None = None,
-) -> DecisionTreeClassifier:
-    """Fit the entropy tree (Atheupe 2023, eq. 34 to 36, sons weighted by their shares).
-
-    Parameters
-    ----------
-    features : (w, f) float32
-    windows : Windows
-    by_regret : bool
-        A window speaks for every filter with what that filter saves over the worst one there.
-    shape : TreeShape
-    seed : int
-    weight : (w,), optional
-        Of each window.
-    """
-    saved = windows.saved if weight is None else windows.saved * weight[:, None]
-    every = slice(None, None, -(-len(features) // MOST_WINDOWS))
-    features, label, saved = features[every], windows.label[every], saved[every]
-    classes = saved.shape[1]
-    tree = DecisionTreeClassifier(
-        criterion="entropy", max_depth=shape.depth, min_weight_fraction_leaf=shape.leaf, ccp_alpha=shape.pruning,
-        random_state=seed,
-    )  # fmt: skip
-    if not by_regret:
-        return tree.fit(features, label)
-    votes = np.tile(np.arange(classes), len(label))
-    return tree.fit(np.repeat(features, classes, axis=0), votes, sample_weight=saved.ravel())
-
-
-def to_tree(fitted: DecisionTreeClassifier, features: np.ndarray, n_filters: int) -> Tree:
-    """Take a fitted scikit-learn tree over; a filter that is never best gets a share of zero."""
-    arrays = fitted.tree_
-    shares = np.zeros((arrays.node_count, n_filters))
-    shares[:, fitted.classes_] = arrays.value[:, 0, :] / arrays.value[:, 0, :].sum(axis=1, keepdims=True)
-    leaf = arrays.children_left < 0
-    return Tree(
-        feature=np.where(leaf, -1, arrays.feature).tolist(),
-        threshold=np.where(leaf, 0.0, arrays.threshold).tolist(),
-        left=arrays.children_left.tolist(),
-        right=arrays.children_right.tolist(),
-        shares=shares.tolist(),
-        picks=np.argmax(shares, axis=1).tolist(),
-        lowest=features.min(axis=0).astype(float).tolist(),
-        highest=features.max(axis=0).astype(float).tolist(),
-    )
-
-
-SURE = 1.0
-"""A leaf departs from the best single filter where its gain is this many standard errors, over recordings."""
-
-LEAST_WITNESSES = 3
-"""And where at least so many recordings speak for it."""
-
-
-def keep_what_is_sure(
-    tree: Tree, leaves: np.ndarray, windows: Windows, owner: np.ndarray, safe: int, sure: float = SURE
-) -> Tree:
-    """Let a leaf pick another filter than the safe one only where that pays beyond doubt.
-
-    Windows of one recording say the same thing many times: what counts is in how many recordings a leaf gains.
-
-    Parameters
-    ----------
-    tree : Tree
-    leaves : (w,) int
-        Leaf of each window.
-    windows : Windows
-    owner : (w,) int
-        Recording of each window.
-    safe : int
-        Best single filter.
-    sure : float
-        Standard errors.
-    """
-    picks, counts = np.array(tree.picks), np.bincount(owner)
-    for leaf in np.unique(leaves):
-        inside = np.flatnonzero(leaves == leaf)
-        best, gained = safe, 0.0
-        for other in range(tree.n_classes):
-            saved = windows.rmse[inside, safe] - windows.rmse[inside, other]
-            # What it takes off the mean error of each recording that comes here.
-            each = np.bincount(owner[inside], saved, len(counts))[np.unique(owner[inside])]
-            each = each / counts[np.unique(owner[inside])]
-            if other == safe or len(each) < LEAST_WITNESSES:
-                continue
-            gain = each.mean() - sure * each.std(ddof=1) / np.sqrt(len(each))
-            if gain > gained:
-                best, gained = other, gain
-        picks[leaf] = best
-    return tree.model_copy(update={"picks": picks.tolist()})
 
 
 @dataclass(frozen=True)

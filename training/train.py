@@ -17,7 +17,8 @@ from crosscomb.filters.catalogue import CATALOGUE, DEFAULT_FILTERS, make_filter,
 from crosscomb.models.vehicle import Vehicle
 from crosscomb.training.bank import run_bank
 from crosscomb.training.evaluate import Evaluation, evaluate, pool
-from crosscomb.training.fit import SELECTORS, Fitter, TreeShape
+from crosscomb.training.fit import SELECTORS, Fitter
+from crosscomb.training.fit_tree import TreeShape
 from crosscomb.training.folds import Parts, grouped_folds, split_recordings
 from crosscomb.training.labels import Windows, concatenate
 from crosscomb.training.recordings import Recording, common_vehicle
