@@ -1,6 +1,6 @@
 """The selectors on recordings they have not seen: fresh simulated logs, and the shared real set.
 
-Run with ``python benchmarks/selectors.py LEARN FRESH REAL [--selectors tree,hybrid] [--jobs 2]``. LEARN and FRESH hold
+Run with ``python benchmarks/selector_accuracy.py LEARN FRESH REAL [--selectors tree,hybrid] [--jobs 2]``. LEARN and FRESH hold
 one folder of simulated logs per car, of different seeds (CONTRIBUTING, "Training the shipped artefacts anew"); REAL
 holds the real logs. Three tables per selector, each beside the single filters and the oracle:
 
@@ -52,25 +52,6 @@ def fitter_of(recordings: Sequence[Recording], selector: str, jobs: int) -> Fitt
     return make_fitter(recordings, selector, default_filters(recordings[0].vehicle), 1, jobs=jobs)
 
 
-def places(recordings: Sequence[Recording], wanted: Sequence[Recording]) -> list[int]:
-    """Where some recordings stand in a list."""
-    at = {one.path: i for i, one in enumerate(recordings)}
-    return [at[one.path] for one in wanted]
-
-
-def leave_one_out(
-    fitter: Fitter, real: list[int], simulated: list[int], shared: list[int], jobs: int
-) -> Evaluation:
-    """Each shared recording judged by what was learned without it."""
-
-    def judge(place: int) -> Evaluation:
-        artefact, _ = fitter.fit([*(i for i in real if i != place), *simulated])
-        return evaluate([fitter.banks[place]], artefact)
-
-    judged = Parallel(n_jobs=jobs, prefer="threads")(delayed(judge)(place) for place in shared)
-    return pool(judged)
-
-
 def pace(banks: Sequence[BankRun], artefact: Artefact) -> float:
     """CPU time that features, selector and switch take per sample [us], filters left out."""
     runs = [run for bank in banks for run in bank.runs]
@@ -93,6 +74,52 @@ def show(title: str, evaluation: Evaluation) -> None:
         print(evaluation.rmse.round(2).to_string())
 
 
+def simulated(selector: str, options: argparse.Namespace) -> None:
+    """Learned on simulated logs, judged on others."""
+    learn, fresh = read(options.learn), read(options.fresh)
+    fitter = fitter_of([*learn, *fresh], selector, options.jobs)
+    artefact, _ = fitter.fit(range(len(learn)))
+    judged = fitter.banks[len(learn) :]
+    show(f"{selector}, simulated", evaluate(judged, artefact))
+    print(f"  {pace(judged, artefact):.1f} us per sample beside the filters")
+
+
+def simulation_only(selector: str, options: argparse.Namespace) -> None:
+    """Learned on simulated logs of their cars, judged on the shared real recordings."""
+    own, shared = logs_of_cars(options.learn), shared_set(options.real)
+    fitter = fitter_of([*own, *shared], selector, options.jobs)
+    artefact, _ = fitter.fit(range(len(own)))
+    show(f"{selector}, simulation only", evaluate(fitter.banks[len(own) :], artefact))
+
+
+def left_out(selector: str, options: argparse.Namespace) -> None:
+    """Each shared real recording judged by what was learned on the other real ones and some simulated logs."""
+    own, real = logs_of_cars(options.learn), read(options.real)
+    few = own[:: max(len(own) // BESIDE_REAL, 1)]
+    fitter = fitter_of([*few, *real], selector, options.jobs)
+
+    def judge(place: int) -> Evaluation:
+        artefact, _ = fitter.fit([i for i in range(len(fitter.banks)) if i != place])
+        return evaluate([fitter.banks[place]], artefact)
+
+    places = [len(few) + i for i, one in enumerate(real) if one.name in SHARED_SET]
+    judged = Parallel(n_jobs=options.jobs, prefer="threads")(delayed(judge)(place) for place in places)
+    show(f"{selector}, leave one out", pool(judged))
+
+
+def logs_of_cars(folder: Path) -> list[Recording]:
+    """Simulated logs of the cars of the shared real set."""
+    return [one for one in read(folder) if one.path.parent.name in CARS]
+
+
+def shared_set(folder: Path) -> list[Recording]:
+    """The shared real recordings."""
+    return [one for one in read(folder) if one.name in SHARED_SET]
+
+
+TABLES = {"simulated": simulated, "simulation-only": simulation_only, "leave-one-out": left_out}
+
+
 def main() -> None:
     """Print the three tables of each selector."""
     parser = argparse.ArgumentParser(
@@ -103,24 +130,12 @@ def main() -> None:
     parser.add_argument("real", type=Path)
     parser.add_argument("--selectors", default="tree,hybrid")
     parser.add_argument("--jobs", type=int, default=2)
+    parser.add_argument("--tables", default=",".join(TABLES))
     options = parser.parse_args()
-    learn, fresh, real = read(options.learn), read(options.fresh), read(options.real)
-    shared = [one for one in real if one.name in SHARED_SET]
-    own = [one for one in learn if one.path.parent.name in CARS]
-    few = own[:: max(len(own) // BESIDE_REAL, 1)]
     for selector in options.selectors.split(","):
         with threadpool_limits(1):
-            fitter = fitter_of([*learn, *fresh], selector, options.jobs)
-            artefact, _ = fitter.fit(range(len(learn)))
-            show(f"{selector}, simulated", evaluate(fitter.banks[len(learn) :], artefact))
-            print(f"  {pace(fitter.banks[len(learn) :], artefact):.1f} us per sample beside the filters")
-            fitter = fitter_of([*own, *real], selector, options.jobs)
-            every = [*own, *real]
-            artefact, _ = fitter.fit(range(len(own)))
-            judged = places(every, shared)
-            show(f"{selector}, simulation only", evaluate([fitter.banks[i] for i in judged], artefact))
-            left = leave_one_out(fitter, places(every, real), places(every, few), judged, options.jobs)
-            show(f"{selector}, leave one out", left)
+            for table in options.tables.split(","):
+                TABLES[table](selector, options)
 
 
 if __name__ == "__main__":
