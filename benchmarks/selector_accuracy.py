@@ -1,8 +1,8 @@
 """The selectors on recordings they have not seen: fresh simulated logs, and the shared real set.
 
-Run with ``python benchmarks/selector_accuracy.py LEARN FRESH REAL [--selectors tree,hybrid] [--jobs 2]``. LEARN and FRESH hold
-one folder of simulated logs per car, of different seeds (CONTRIBUTING, "Training the shipped artefacts anew"); REAL
-holds the real logs. Three tables per selector, each beside the single filters and the oracle:
+Run with ``python benchmarks/selector_accuracy.py LEARN FRESH REAL [--selectors tree,hybrid] [--tables ...]``. LEARN and
+FRESH hold one folder of simulated logs per car, of different seeds (CONTRIBUTING, "Training the shipped artefacts
+anew"); REAL holds the real logs. Three tables per selector, each beside the single filters and the oracle:
 
 - *simulated*: learned on all of LEARN, judged on FRESH;
 - *simulation only*: learned on LEARN's logs of the cars of the shared set, judged on the shared real set;

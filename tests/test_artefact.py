@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from crosscomb.artefact import SCHEMA_VERSION, Artefact, load_artefact, parse_artefact, save_artefact
+from crosscomb.artefact import SCHEMA_VERSION, SHIPPED, Artefact, load_artefact, parse_artefact, save_artefact
 from crosscomb.errors import UsageError
 from crosscomb.filters.catalogue import DEFAULT_FILTERS, make_filter, settings_of
 from crosscomb.models.vehicle import Vehicle
@@ -164,16 +164,18 @@ def test_a_fault_changes_no_other_artefact(content):
     assert parse_artefact(json.dumps(content), "mine.json").tree.left[2] == 3
 
 
-def test_the_shipped_artefact_serves_any_car():
-    artefact = load_artefact()
+@pytest.mark.parametrize("name", SHIPPED)
+def test_the_shipped_artefacts_serve_any_car(name):
+    artefact = load_artefact(name)
     assert artefact.vehicle is None, "it would stand in for the generic car without a warning"
     assert tuple(artefact.filter_names) == DEFAULT_FILTERS
     leaves = np.array(artefact.tree.left) < 0
     assert len(set(np.array(artefact.tree.picks)[leaves])) > 1
 
 
-def test_the_shipped_artefact_records_its_training():
-    record = load_artefact().training
+@pytest.mark.parametrize("name", SHIPPED)
+def test_the_shipped_artefacts_record_their_training(name):
+    record = load_artefact(name).training
     parts = record["parts"]
     members = [name for part in ("training", "validation", "test") for name in parts[part]]
     assert sorted(members) == sorted(record["data"])
@@ -181,7 +183,8 @@ def test_the_shipped_artefact_records_its_training():
     assert {"python", "numpy", "scikit-learn", "crosscomb"} <= set(record["versions"])
 
 
-def test_the_shipped_artefact_is_as_crosscomb_writes_it(tmp_path):
-    shipped = Path(__file__).resolve().parents[1] / "crosscomb" / "data" / "reference.json"
-    save_artefact(load_artefact(), tmp_path / "again.json")
+@pytest.mark.parametrize("name", SHIPPED)
+def test_the_shipped_artefacts_are_as_crosscomb_writes_them(tmp_path, name):
+    shipped = Path(__file__).resolve().parents[1] / "crosscomb" / "data" / f"{name}.json"
+    save_artefact(load_artefact(name), tmp_path / "again.json")
     assert (tmp_path / "again.json").read_bytes() == shipped.read_bytes()

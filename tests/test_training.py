@@ -495,3 +495,14 @@ def test_the_shipped_switch_is_better_than_the_best_single_filter_on_unseen_logs
     print(rmse.round(3).to_dict())
     assert rmse[ORACLE] < rmse[SWITCH] < rmse[evaluation.best_single] < rmse[ZERO]
     assert (evaluation.table[SWITCH, "switches_per_minute"] > 0.0).any()
+
+
+def test_the_shipped_hybrid_is_far_better_than_any_filter_on_unseen_logs(car):
+    """It corrects what no filter has right, and its doubt holds."""
+    artefact = load_artefact("hybrid")
+    banks = run_bank(unseen_logs(car), artefact.filters, artefact.rate, artefact.window)
+    evaluation = evaluate(banks, artefact)
+    rmse = evaluation.overall["rmse"]
+    print(rmse.round(3).to_dict())
+    assert rmse[SWITCH] < 0.6 * rmse[evaluation.best_single]
+    assert 0.92 < evaluation.table[SWITCH, "coverage"].mean() < 0.99
