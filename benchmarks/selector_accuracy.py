@@ -38,9 +38,6 @@ CARS = ("volvo_s90", "volvo_v40", "golf_gti_2018", "ferrari_250lm")
 BESIDE_REAL = 100
 """Simulated logs beside the real ones where one real recording is left out."""
 
-LEAST_BEST = 0.98
-"""A best single filter worse than this on the shared set counts as this [deg]: weak filters must not flatter."""
-
 
 def read(folder: Path) -> list[Recording]:
     """Recordings of a folder, those that cannot be used left out."""
@@ -69,8 +66,6 @@ def show(title: str, evaluation: Evaluation) -> None:
     print("  mean RMSE [deg]: " + ", ".join(f"{name} {value:.3f}" for name, value in means.items()))
     print("  " + ", ".join(f"{name} {value:.3f}" for name, value in summary.items()))
     if set(evaluation.table.index) <= set(SHARED_SET):
-        best = means[evaluation.best_single]
-        print(f"  RMSE / max(best single, {LEAST_BEST}) {means['switch'] / max(best, LEAST_BEST):.3f}")
         print(evaluation.rmse.round(2).to_string())
 
 

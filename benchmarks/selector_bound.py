@@ -1,7 +1,7 @@
 """How much windows of ay and yaw rate can tell: what boosted trees get out of them, beside one tree and the oracle.
 
 Run with ``python benchmarks/selector_bound.py LEARN FRESH``; the folders are those of ``selector_accuracy.py``. Per
-filter, boosted trees learn from the windows of LEARN how much worse than the best filter it is; on FRESH the filter is taken
+filter, boosted trees learn from the windows of LEARN how much worse than the best filter it is; on FRESH that is taken
 that should lose least. They are far larger than a tree that can be read, so what they miss is not in the windows.
 RMSE is over whole windows, without a switch, in the mean over recordings.
 """

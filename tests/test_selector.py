@@ -8,7 +8,7 @@ from sklearn.tree import DecisionTreeClassifier
 from crosscomb.selector import Tree
 from crosscomb.training.bank import run_bank
 from crosscomb.training.fit import SELECTORS
-from crosscomb.training.fit_tree import TreeShape, fit_tree, to_tree
+from crosscomb.training.fit_tree import TreeShape, fit_tree, to_tree, without_idle_questions
 from crosscomb.training.labels import TIE, Windows, concatenate
 from crosscomb.training.recordings import Recording
 from crosscomb.training.train import default_filters
@@ -198,3 +198,20 @@ def test_a_leaf_decides_by_its_pick_not_by_its_shares():
 def test_a_broken_tree_is_refused(fault):
     with pytest.raises(ValidationError):
         Tree(**{**SOUND, **BROKEN[fault]})
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_questions_that_change_nothing_are_left_out(seed):
+    """Random trees with random picks decide the same with fewer nodes, and no question is left idle."""
+    rng = np.random.default_rng(seed)
+    rows = rng.standard_normal((400, 3)).astype(np.float32)
+    fitted = DecisionTreeClassifier(max_depth=5, random_state=seed).fit(rows, rng.integers(0, 3, 400))
+    tree = to_tree(fitted, rows, 3)
+    tree = tree.model_copy(update={"picks": rng.integers(0, 2, len(tree.picks)).tolist()})
+    fewer = without_idle_questions(tree)
+    assert Tree(**fewer.model_dump()) == fewer
+    np.testing.assert_array_equal(fewer.predict(rows), tree.predict(rows))
+    assert len(fewer.feature) <= len(tree.feature)
+    for left, right in zip(fewer.left, fewer.right, strict=True):
+        if left >= 0 and fewer.left[left] < 0 and fewer.left[right] < 0:
+            assert fewer.picks[left] != fewer.picks[right]

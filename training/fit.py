@@ -23,7 +23,13 @@ from crosscomb.training.fit_correction import (
     left_over,
     recording_weights,
 )
-from crosscomb.training.fit_tree import TreeShape, fit_tree, keep_what_is_sure, to_tree
+from crosscomb.training.fit_tree import (
+    TreeShape,
+    fit_tree,
+    keep_what_is_sure,
+    to_tree,
+    without_idle_questions,
+)
 from crosscomb.training.folds import grouped_folds
 from crosscomb.training.labels import Windows, concatenate
 from crosscomb.training.metrics import score
@@ -207,6 +213,7 @@ class Fitter:
         tree = to_tree(fitted, features, len(self.filters))
         if self.kind.by_regret:
             tree = keep_what_is_sure(tree, tree.leaves(features), windows, self.owner(members), safe)
+            tree = without_idle_questions(tree)
         # The paper's safe choice is the particle filter; ours the one that was the best by measurement.
         paper = self.selector == "paper" and "random_walk_pf" in self.names
         return Artefact(

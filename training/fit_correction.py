@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from sklearn.exceptions import ConvergenceWarning
 from sklearn.neural_network import MLPRegressor
 
 from crosscomb.correction import LEAST_DOUBT, Correction
@@ -115,16 +113,16 @@ def fit_network(
     mean = np.where(places.odd[columns], 0.0, seen.mean(axis=0))
     scale = np.maximum(np.sqrt(np.mean((seen - mean) ** 2, axis=0)), 1e-6)
     inputs = np.clip((seen - mean) / scale, -FAR, FAR).astype(np.float32)
-    epochs = int(min(EPOCHS, max(1, STEPS * BATCH // len(inputs))))
+    epochs = int(min(EPOCHS, max(3, STEPS * BATCH // len(inputs))))
     fitted = []
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", ConvergenceWarning)  # the passes are meant to be the end
-        for member in range(members):
-            regressor = MLPRegressor(
-                hidden_layer_sizes=hidden, alpha=1e-3, batch_size=min(BATCH, len(inputs)), learning_rate_init=2e-3,
-                max_iter=epochs, random_state=seed + member,
-            )  # fmt: skip
-            fitted.append(regressor.fit(inputs, target.astype(np.float32), sample_weight=weight))
+    for member in range(members):
+        regressor = MLPRegressor(
+            hidden_layer_sizes=hidden, alpha=1e-3, batch_size=min(BATCH, len(inputs)), learning_rate_init=2e-3,
+            random_state=seed + member,
+            # No loss falls by as much as tol: the fit ends after just these epochs, and not in a warning.
+            max_iter=epochs + 2, tol=1e9, n_iter_no_change=epochs - 2,
+        )  # fmt: skip
+        fitted.append(regressor.fit(inputs, target.astype(np.float32), sample_weight=weight))
     return Network(
         columns=columns.tolist(), relative=relative.tolist(), mean=_short(mean), scale=_short(scale), unit=1.0,
         members=[to_member(one) for one in fitted],
