@@ -429,7 +429,7 @@ def benchmark(
     speeds = suites.filter_speeds(artefact, beside)
     terminal.show("Speed", ["filter", "us per sample"], [[name, f"{us:.2f}"] for name, us in speeds.items()])
     if output is not None:
-        write_benchmark(output, suite, result, speeds)
+        write_benchmark(output, suite, result, speeds, selector_file)
         terminal.say(f"{output}: section {suite} written")
 
 

@@ -92,13 +92,22 @@ HOW = {
 }
 
 
-def write_benchmark(path: Path, suite: str, result: Benchmark, speeds: dict[str, float]) -> None:
-    """Keep the tables of a benchmark in a Markdown file, in a section of its own when there are many estimators."""
+def write_benchmark(
+    path: Path, suite: str, result: Benchmark, speeds: dict[str, float], selector_file: Path | None = None
+) -> None:
+    """Keep the tables of a benchmark in a Markdown file.
+
+    Another artefact than the default one, and many estimators, have a section of their own.
+    """
+    how = HOW[suite]
+    if selector_file is not None:
+        how = how.replace(" -o", f" --selector-file {selector_file.name} -o")
     many = len(result.evaluation.rmse.columns) > WIDE
     pace = markdown_table(["filter", "us per sample"], [[name, f"{us:.2f}"] for name, us in speeds.items()])
     lines = [
-        f"## {'The whole catalogue' if many else 'The switch and its filters'} on {suite} logs",
-        f"Made by {HOW[suite].replace(' -o', ' --filters all -o') if many else HOW[suite]}.",
+        f"## {'The whole catalogue' if many else 'The switch and its filters'} on {suite} logs"
+        f"{f' ({selector_file.stem})' if selector_file else ''}",
+        f"Made by {how.replace(' -o', ' --filters all -o') if many else how}.",
         "RMSE / largest error in deg over the samples above 3 m/s. `zero` is the answer beta = 0; `switch` is the "
         "artefact; `oracle` picks the best of the switch's filters in every window of ten samples with the truth in "
         "hand. Summaries: mean of the RMSE, largest error.",
@@ -107,7 +116,8 @@ def write_benchmark(path: Path, suite: str, result: Benchmark, speeds: dict[str,
         "Time per sample on the machine of the run, for the order of magnitude only:",
         pace,
     ]
-    write_section(path, f"{suite}-all" if many else suite, "\n\n".join(lines))
+    ends = ([selector_file.stem] if selector_file else []) + (["all"] if many else [])
+    write_section(path, "-".join([suite, *ends]), "\n\n".join(lines))
 
 
 def _tall_table(result: Benchmark) -> str:

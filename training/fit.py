@@ -207,7 +207,7 @@ class Fitter:
         """Artefact with a tree only, its doubt not calibrated."""
         windows = self.together(members)
         features = windows.everything if self.kind.all_signals else windows.features
-        safe = self.best_single(members)
+        safe = self.anchor(members)
         weight = self._weight(members, safe)
         fitted = fit_tree(features, windows, self.kind.by_regret, shape, self.seed, weight)
         tree = to_tree(fitted, features, len(self.filters))
@@ -251,7 +251,7 @@ class Fitter:
         return fit_trust(error, beta_std, beta)
 
     def _weight(self, members: Sequence[int], anchor: int) -> np.ndarray:
-        """Weight of each window of some recordings ``(w,)``, by what the best single filter leaves of them."""
+        """Weight of each window of some recordings ``(w,)``, by what a filter leaves of them."""
         windows, owner = self.together(members), self.owner(members)
         return recording_weights(windows, owner, anchor) * self.balance(members)[owner]
 

@@ -85,8 +85,8 @@ def to_tree(fitted: DecisionTreeClassifier, features: np.ndarray, n_filters: int
     )
 
 
-SURE = 1.0
-"""A leaf departs from the best single filter where its gain is this many standard errors, over recordings."""
+SURE = 2.0
+"""A leaf departs from the safe filter where its gain is this many standard errors, over recordings."""
 
 LEAST_WITNESSES = 3
 """And where at least so many recordings speak for it."""
@@ -108,7 +108,7 @@ def keep_what_is_sure(
     owner : (w,) int
         Recording of each window.
     safe : int
-        Best single filter.
+        Safe filter: nearly right in most driving.
     sure : float
         Standard errors.
     """
