@@ -39,7 +39,9 @@ class Correction(BaseModel):
     bound : float
         Largest correction [rad].
     lag : float
-        Time constant that smooths the correction and its fading [s].
+        Time constant that smooths the correction [s].
+    fade : float
+        Time constant of its fading in and out [s]: a large correction must not come or go in a jump.
     odd : list of bool
         Features that change sign in a mirrored drive.
     lowest, highest : list of float
@@ -53,6 +55,7 @@ class Correction(BaseModel):
     doubt: Network
     bound: float = Field(gt=0.0, le=1.5)
     lag: float = Field(default=0.02, ge=0.0, le=1.0)
+    fade: float = Field(default=0.2, ge=0.0, le=10.0)
     odd: list[bool]
     lowest: list[Finite]
     highest: list[Finite]
@@ -122,7 +125,7 @@ def inside_weight(features, columns, lowest, highest, slack):
 
 
 @njit(cache=True)
-def correction_at(model, state, features, gain, answer):
+def correction_at(model, state, features, gains, answer):
     """Write correction [rad], its standard deviation [rad] and its weight of one sample to `answer` ``(3,)``.
 
     Parameters
@@ -131,8 +134,8 @@ def correction_at(model, state, features, gain, answer):
     state : CorrectionState
         Changed in place.
     features : (f,) float32
-    gain : float
-        Share of the new sample in the smoothed correction and weight.
+    gains : (float, float)
+        Share of the new sample in the smoothed correction, and in the weight.
     answer : (3,)
     """
     values, mirrored = state.values, state.mirrored
@@ -144,18 +147,18 @@ def correction_at(model, state, features, gain, answer):
     doubt = network_at(model.doubt, state.doubt, features) + network_at(model.doubt, state.doubt, mirrored)
     doubt = min(max(0.5 * doubt, LEAST_DOUBT), MOST_DOUBT)
     weight = inside_weight(features, model.network.columns, model.lowest, model.highest, model.slack)
-    share = gain if values[2] == 1.0 else 1.0
-    values[0] += share * (correction - values[0])
-    values[1] += share * (weight - values[1])
+    fresh = values[2] == 0.0
+    values[0] += (1.0 if fresh else gains[0]) * (correction - values[0])
+    values[1] += (1.0 if fresh else gains[1]) * (weight - values[1])
     values[2] = 1.0
     answer[0], answer[1], answer[2] = values[0], math.exp(doubt), values[1]
 
 
 @njit(cache=True)
-def _run(model, state, features, gain, anchor, beta, beta_std, weight):
+def _run(model, state, features, gains, anchor, beta, beta_std, weight):
     answer = np.empty(3)
     for k in range(features.shape[0]):
-        correction_at(model, state, features[k], gain, answer)
+        correction_at(model, state, features[k], gains, answer)
         share = answer[2]
         beta[k] += share * (anchor[k] + answer[0] - beta[k])
         beta_std[k] += share * (answer[1] - beta_std[k])
@@ -197,6 +200,6 @@ def correct(
         Share of the correction in the answer.
     """
     beta, beta_std, weight = switched.copy(), switched_std.copy(), np.empty(len(switched))
-    gain = lag_gain(correction.lag, dt)
-    _run(correction.kernel, state, features, gain, np.ascontiguousarray(anchor), beta, beta_std, weight)
+    gains = (lag_gain(correction.lag, dt), lag_gain(correction.fade, dt))
+    _run(correction.kernel, state, features, gains, np.ascontiguousarray(anchor), beta, beta_std, weight)
     return beta, beta_std, weight

@@ -117,6 +117,7 @@ def correction() -> Correction:
         doubt=constant_doubt(np.log(0.01)),
         bound=0.03,
         lag=0.0,
+        fade=0.0,
         odd=[True, False],
         lowest=[-2.0, -2.0],
         highest=[2.0, 2.0],
@@ -164,8 +165,18 @@ def test_outside_the_training_the_answer_fades_to_the_switch(correction):
     assert inside_weight(far[0], np.arange(2), np.full(2, -2.0), np.full(2, 2.0), np.full(2, 1.0)) == 0.0
 
 
+def test_a_correction_does_not_leave_in_a_jump(correction):
+    """From one sample to the next the input is far outside; the answer takes its time."""
+    slow = correction.model_copy(update={"fade": 0.2})
+    rows = np.array([[1.0, 1.0]] * 50 + [[1.0, 1e6]] * 150, dtype=np.float32)
+    answer = corrected(slow, rows)
+    assert answer[0] == pytest.approx(0.13, abs=0.01)
+    assert answer[-1] == pytest.approx(0.5, abs=0.001)
+    assert np.abs(np.diff(answer)).max() < 0.06 * (0.5 - 0.13)
+
+
 def test_pieces_make_the_same_answers(correction):
-    smooth = correction.model_copy(update={"lag": 0.2})
+    smooth = correction.model_copy(update={"lag": 0.2, "fade": 0.3})
     rng = np.random.default_rng(5)
     rows = rng.uniform(-3.0, 3.0, (200, 2)).astype(np.float32)
     whole, state, parts = corrected(smooth, rows), make_correction_state(correction), []
