@@ -168,12 +168,7 @@ class Fitter:
             weight[~simulated] = min(max(share, 1.0 / MOST_BALANCE), MOST_BALANCE)
         return weight
 
-    def best_single(self, members: Sequence[int]) -> int:
-        """Filter with the lowest mean RMSE over some recordings."""
-        rmse = [np.sqrt(np.mean(self.windows[i].rmse ** 2, axis=0)) for i in members]
-        return int(np.argmin(np.mean(rmse, axis=0)))
-
-    def anchor(self, members: Sequence[int]) -> int:
+    def safe(self, members: Sequence[int]) -> int:
         """Filter with the lowest median RMSE: nearly right in most driving, whatever it does in slides."""
         rmse = [np.sqrt(np.mean(self.windows[i].rmse ** 2, axis=0)) for i in members]
         return int(np.argmin(np.median(rmse, axis=0)))
@@ -207,14 +202,14 @@ class Fitter:
         """Artefact with a tree only, its doubt not calibrated."""
         windows = self.together(members)
         features = windows.everything if self.kind.all_signals else windows.features
-        safe = self.anchor(members)
+        safe = self.safe(members)
         weight = self._weight(members, safe)
         fitted = fit_tree(features, windows, self.kind.by_regret, shape, self.seed, weight)
         tree = to_tree(fitted, features, len(self.filters))
         if self.kind.by_regret:
             tree = keep_what_is_sure(tree, tree.leaves(features), windows, self.owner(members), safe)
             tree = without_idle_questions(tree)
-        # The paper's safe choice is the particle filter; ours the one that was the best by measurement.
+        # The safe choice of the paper is the particle filter; ours is measured.
         paper = self.selector == "paper" and "random_walk_pf" in self.names
         return Artefact(
             selector_name=self.selector,
@@ -257,7 +252,7 @@ class Fitter:
 
     def _correction(self, members: Sequence[int], inner: Sequence[tuple[list[int], list[int]]]) -> Correction:
         """Fit the correction on all members and its doubt on what parts of them left out."""
-        anchor = self.anchor(members)
+        anchor = self.safe(members)
 
         def fit_on(some: Sequence[int], networks: int) -> Correction:
             weight = self._weight(some, anchor)
