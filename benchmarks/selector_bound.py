@@ -49,7 +49,7 @@ def main() -> None:
     square, every = fresh.rmse**2, np.arange(len(fresh.rmse))
     singles = [mean_rmse(square[:, i], fresh_owner) for i in range(square.shape[1])]
     best = min(singles)
-    weight = recording_weights(learn, owner, int(np.argmin(singles)))
+    weight = recording_weights(learn.rmse[:, int(np.argmin(singles))], owner)
     excess = np.degrees(learn.rmse - learn.rmse.min(axis=1, keepdims=True)) * weight[:, None]
     foretold = [
         fit_trees(learn.features, np.minimum(lost, 30.0), 0, 150).predict(fresh.features) for lost in excess.T

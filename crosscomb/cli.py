@@ -256,11 +256,7 @@ def estimate(
         "estimates"
     ),
     plot: Annotated[
-        bool,
-        typer.Option(
-            "--plot",
-            help="Also draw beta, its band, the active filter, and what adaptive filters adapt.",
-        ),
+        bool, typer.Option("--plot", help="Also draw beta, its band and the active filter.")
     ] = False,
     filters: FiltersOption = None,
     tuned: TunedOption = None,

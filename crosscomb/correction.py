@@ -68,6 +68,12 @@ class Correction(BaseModel):
             raise ValueError("the correction asks for more features than it has ranges of")
         return self
 
+    def predict(self, features: np.ndarray) -> np.ndarray:
+        """Corrections ``(n,) [rad]`` for rows of features ``(n, f) float32``, neither smoothed nor faded."""
+        out = np.empty(len(features))
+        _predict(self.kernel, make_correction_state(self), np.ascontiguousarray(features, np.float32), out)
+        return out
+
     @cached_property
     def kernel(self) -> CorrectionKernel:
         """The correction as kernels take it."""
@@ -125,6 +131,23 @@ def inside_weight(features, columns, lowest, highest, slack):
 
 
 @njit(cache=True)
+def odd_correction(model, state, features):
+    """Correction [rad] of one sample, as it stands; leaves the mirrored features in the state."""
+    mirrored = state.mirrored
+    for i in range(mirrored.size):
+        mirrored[i] = features[i] * model.signs[i]
+    correction = network_at(model.network, state.network, features)
+    correction -= network_at(model.network, state.network, mirrored)
+    return min(max(0.5 * correction, -model.bound), model.bound)
+
+
+@njit(cache=True)
+def _predict(model, state, features, out):
+    for row in range(features.shape[0]):
+        out[row] = odd_correction(model, state, features[row])
+
+
+@njit(cache=True)
 def correction_at(model, state, features, gains, answer):
     """Write correction [rad], its standard deviation [rad] and its weight of one sample to `answer` ``(3,)``.
 
@@ -139,11 +162,7 @@ def correction_at(model, state, features, gains, answer):
     answer : (3,)
     """
     values, mirrored = state.values, state.mirrored
-    for i in range(mirrored.size):
-        mirrored[i] = features[i] * model.signs[i]
-    correction = network_at(model.network, state.network, features)
-    correction -= network_at(model.network, state.network, mirrored)
-    correction = min(max(0.5 * correction, -model.bound), model.bound)
+    correction = odd_correction(model, state, features)
     doubt = network_at(model.doubt, state.doubt, features) + network_at(model.doubt, state.doubt, mirrored)
     doubt = min(max(0.5 * doubt, LEAST_DOUBT), MOST_DOUBT)
     weight = inside_weight(features, model.network.columns, model.lowest, model.highest, model.slack)

@@ -91,6 +91,20 @@ def make_filters(entries: Sequence[FilterSettings], vehicle: Vehicle) -> list[Ke
     return [make_filter(entry.name, vehicle, entry.settings) for entry in entries]
 
 
+def require_known(names: Sequence[str]) -> None:
+    """Refuse names of filters that are not in the catalogue, or stand twice.
+
+    Raises
+    ------
+    UsageError
+    """
+    for name in names:
+        if name not in CATALOGUE:
+            raise UsageError(f"--filters {name}: not in the catalogue: `crosscomb filters` lists it")
+        if list(names).count(name) > 1:
+            raise UsageError(f"--filters {name}: named twice: name it once")
+
+
 def name_filters(names: Sequence[str], artefact: Artefact) -> list[FilterSettings]:
     """Settings of the named filters: the artefact's own where it has them, else the defaults.
 
@@ -99,10 +113,6 @@ def name_filters(names: Sequence[str], artefact: Artefact) -> list[FilterSetting
     UsageError
         A name is not in the catalogue, or stands twice.
     """
+    require_known(names)
     known = {entry.name: entry for entry in artefact.filters}
-    for name in names:
-        if name not in CATALOGUE:
-            raise UsageError(f"--filters {name}: not in the catalogue: `crosscomb filters` lists it")
-        if names.count(name) > 1:
-            raise UsageError(f"--filters {name}: named twice: name it once")
     return [known.get(name, FilterSettings(name=name)) for name in names]

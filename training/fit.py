@@ -247,8 +247,9 @@ class Fitter:
 
     def _weight(self, members: Sequence[int], anchor: int) -> np.ndarray:
         """Weight of each window of some recordings ``(w,)``, by what a filter leaves of them."""
-        windows, owner = self.together(members), self.owner(members)
-        return recording_weights(windows, owner, anchor) * self.balance(members)[owner]
+        owner = self.owner(members)
+        rmse = np.concatenate([self.windows[i].rmse[:, anchor] for i in members])
+        return recording_weights(rmse, owner) * self.balance(members)[owner]
 
     def _correction(self, members: Sequence[int], inner: Sequence[tuple[list[int], list[int]]]) -> Correction:
         """Fit the correction on all members and its doubt on what parts of them left out."""

@@ -12,7 +12,7 @@ from crosscomb.correction import LEAST_DOUBT, Correction
 from crosscomb.features import layout
 from crosscomb.network import FAR, Member, Network
 from crosscomb.training.fit_boosted import mirror_signs, with_mirrored
-from crosscomb.training.labels import Windows
+from crosscomb.training.labels import Windows, thinning
 
 MEMBERS, HIDDEN = 3, (64, 32)
 """Networks that correct together, and the neurons of their layers; on simulated logs more brought little."""
@@ -60,20 +60,18 @@ class Part(NamedTuple):
     weight: np.ndarray
 
 
-def recording_weights(windows: Windows, owner: np.ndarray, anchor: int) -> np.ndarray:
-    """Weight of each window ``(w,)`` by the error of the filter in its recording, see `EVEN_ERROR`.
+def recording_weights(rmse: np.ndarray, owner: np.ndarray) -> np.ndarray:
+    """Weight of each window ``(w,)`` by the error of a filter in its recording, see `EVEN_ERROR`.
 
     Parameters
     ----------
-    windows : Windows
+    rmse : (w,) [rad]
+        Of the filter in each window.
     owner : (w,) int
         Recording of each window.
-    anchor : int
-        Index of the filter.
     """
     counts = np.maximum(np.bincount(owner), 1)
-    rmse = np.sqrt(np.bincount(owner, windows.rmse[:, anchor] ** 2) / counts)
-    weight = 1.0 / (rmse + EVEN_ERROR)
+    weight = 1.0 / (np.sqrt(np.bincount(owner, rmse**2) / counts) + EVEN_ERROR)
     return weight[owner] / weight[owner].mean()
 
 
@@ -169,7 +167,7 @@ def fit_correction(
     signs = mirror_signs(filters)
     everything = with_mirrored(windows.everything[known], signs)
     missing = (windows.beta_ref - windows.beta[:, anchor])[known]
-    every = np.arange(len(missing))[:: -(-len(missing) // MOST_WINDOWS)]
+    every = np.arange(len(missing))[:: thinning(len(missing), MOST_WINDOWS)]
     network = fit_network(
         with_mirrored(windows.everything[known][every], signs),
         np.concatenate([missing[every], -missing[every]]) / UNIT,
@@ -206,9 +204,7 @@ def left_over(correction: Correction, windows: Windows, weight: np.ndarray, filt
     """
     known = np.isfinite(windows.beta_ref)
     seen, anchor = windows.everything[known], filters.index(correction.anchor)
-    moved = correction.network.predict(seen) - correction.network.predict(seen * mirror_signs(filters))
-    moved = np.clip(0.5 * moved, -correction.bound, correction.bound)
-    error = (windows.beta_ref - windows.beta[:, anchor])[known] - moved
+    error = (windows.beta_ref - windows.beta[:, anchor])[known] - correction.predict(seen)
     return Part(seen, error, weight[known])
 
 
@@ -243,7 +239,7 @@ def fit_doubt(parts: Sequence[Part], filters: list[str], anchor: int, seed: int)
 
 def _doubt(parts: Sequence[Part], filters: list[str], anchor: int, seed: int) -> Network:
     features, errors, weights = (np.concatenate(column) for column in zip(*parts, strict=True))
-    step = -(-len(errors) // MOST_WINDOWS)
+    step = thinning(len(errors), MOST_WINDOWS)
     size = np.log(np.maximum(np.abs(errors[::step]), LEAST_ERROR))
     seen = with_mirrored(features[::step], mirror_signs(filters))
     return fit_network(

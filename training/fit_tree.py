@@ -8,7 +8,7 @@ import numpy as np
 from sklearn.tree import DecisionTreeClassifier
 
 from crosscomb.selector import Tree
-from crosscomb.training.labels import Windows
+from crosscomb.training.labels import Windows, thinning
 
 MOST_WINDOWS = 60_000
 """So many windows train a tree at most, evenly thinned: neighbours are near copies."""
@@ -54,7 +54,7 @@ def fit_tree(
         Of each window.
     """
     saved = windows.saved if weight is None else windows.saved * weight[:, None]
-    every = slice(None, None, -(-len(features) // MOST_WINDOWS))
+    every = slice(None, None, thinning(len(features), MOST_WINDOWS))
     features, label, saved = features[every], windows.label[every], saved[every]
     classes = saved.shape[1]
     tree = DecisionTreeClassifier(

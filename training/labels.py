@@ -15,6 +15,11 @@ TIE = np.radians(0.1)
 """Errors below this [rad] are equal: optical and two-antenna references are hardly better."""
 
 
+def thinning(count: int, most: int) -> int:
+    """Step with which at most `most` of `count` things are left."""
+    return -(-count // most)
+
+
 @dataclass(frozen=True)
 class Windows:
     """Labelled windows of one or several recordings.
@@ -53,7 +58,7 @@ class Windows:
 
     def thinned(self, most: int) -> Windows:
         """Keep so many windows at most, evenly."""
-        step = -(-len(self.rmse) // most)
+        step = thinning(len(self.rmse), most)
         return self.where(np.arange(len(self.rmse)) % step == 0) if step > 1 else self
 
     @property

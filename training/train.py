@@ -11,9 +11,10 @@ from joblib import Parallel, delayed
 from threadpoolctl import threadpool_limits
 
 from crosscomb.artefact import Artefact, FilterSettings
+from crosscomb.drive import require_known
 from crosscomb.errors import UsageError
 from crosscomb.files import file_hash, versions
-from crosscomb.filters.catalogue import CATALOGUE, DEFAULT_FILTERS, make_filter, settings_of
+from crosscomb.filters.catalogue import DEFAULT_FILTERS, make_filter, settings_of
 from crosscomb.models.vehicle import Vehicle
 from crosscomb.training.bank import run_bank
 from crosscomb.training.evaluate import Evaluation, evaluate, pool
@@ -199,11 +200,7 @@ def require_filters(names: Sequence[str]) -> None:
     UsageError
         A name is unknown or stands twice, or there is only one.
     """
-    for name in names:
-        if name not in CATALOGUE:
-            raise UsageError(f"--filters {name}: not in the catalogue: `crosscomb filters` lists it")
-        if list(names).count(name) > 1:
-            raise UsageError(f"--filters {name}: named twice: name it once")
+    require_known(names)
     if len(names) < 2:
         raise UsageError(f"--filters {', '.join(names)}: there is nothing to select from: name at least two")
 
