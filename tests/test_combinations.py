@@ -29,10 +29,10 @@ from crosscomb.filters.catalogue import make_filter
 from crosscomb.filters.cross_combined import CrossCombinedUKF, CrossNoise, kinematic_share
 from crosscomb.filters.dynamic_ekf import DynamicEKF, DynamicNoise
 from crosscomb.filters.kinematic_kf import KinematicKF, KinematicNoise
-from crosscomb.filters.model_bank import ModelNoise, model_shares, slip_predict
+from crosscomb.filters.model_bank import Cars, ModelNoise, model_shares, slip_predict
 from crosscomb.filters.multiple_model import IMM, MMAE
 from crosscomb.filters.sigma_point import SimpleUKF
-from crosscomb.models.single_track import single_track_rates, stable_substeps
+from crosscomb.models.single_track import single_track, single_track_rates, stable_substeps
 from crosscomb.models.vehicle import load_vehicle
 from crosscomb.prepare import complete
 from crosscomb.training.simulate import simulate_log
@@ -202,7 +202,9 @@ def test_kinematic_model_of_the_bank_follows_the_kinematic_equation() -> None:
     assert (state.mean[1] + 0.1) / 1e-4 == pytest.approx(beta_dot, rel=1e-6)
 
 
-# Monte Carlo: on drives of their own models the errors are as large as they say; the IMM's jump, the MMAE's do not.
+# Monte Carlo: on drives of their own models errors and innovations are as large as they say; the IMM's jump, the
+# MMAE's do not. The mean of the filters' NIS, weighted by what the measurement says of the models, is that of one
+# matched filter.
 
 
 def jumping_drive(
@@ -228,25 +230,63 @@ def jumping_drive(
     return samples, truth
 
 
-@pytest.mark.parametrize(("kind", "stay"), [(IMM, 2.0), (MMAE, 1e9)])
-def test_errors_of_the_banks_are_as_large_as_they_say(kind: type[IMM | MMAE], stay: float) -> None:
+MATCHED = DynamicNoise(0.3, 0.05, 0.01, 1.0)
+
+
+def two_cars(estimator: IMM | MMAE) -> Cars:
+    """The car on linear tyres, stiff and soft: the filters of both are exact on their own drives."""
+    stiff = single_track(estimator.vehicle, "linear")
+    soft = {"stiffness_front": 0.6 * stiff.stiffness_front, "stiffness_rear": 0.5 * stiff.stiffness_rear}
+    return Cars(stiff, stiff._replace(**soft))
+
+
+class LinearIMM(IMM):
+    car = property(two_cars)
+
+
+class LinearMMAE(MMAE):
+    car = property(two_cars)
+
+
+def bank_consistency(kind: type[IMM | MMAE], stay: float, dynamic: DynamicNoise) -> tuple[float, float]:
+    """Where in its chi-square distribution the NEES of the last beta and the NIS of all samples lie.
+
+    The drives have the errors of `MATCHED`, the filter expects those of `dynamic`.
+    """
     noise = ModelNoise(
         correlation=0.0,
         kinematic_share=0.0,
         low_share=0.3,
         stay=stay,
         floor=1e-12,  # a floor gives models a say that these drives do not have
-        dynamic=DynamicNoise(0.3, 0.05, 0.01, 1.0),
+        dynamic=MATCHED,
     )
     # The friction margin sees the measured ay, the drive does not: low friction is above it all the same.
     estimator, rng, runs, steps = kind(GOLF, noise, low_friction=0.6), np.random.default_rng(8), 150, 150
-    nees = 0.0
+    tested = replace(estimator, noise=noise._replace(dynamic=dynamic))
+    nees, nis = 0.0, 0.0
     for _ in range(runs):
         samples, truth = jumping_drive(estimator, rng, steps)
-        estimate = estimator.run(Inputs(DT, samples))
+        estimate = tested.run(Inputs(DT, samples))
         nees += ((estimate.beta - truth[:, 1]) / estimate.beta_std)[-1] ** 2
-    low, high = chi2.interval(0.999, runs)
-    assert low < nees < high
+        nis += estimate.nis[1:].sum()  # the first sample starts the filters
+    return float(chi2.cdf(nees, runs)), float(chi2.cdf(nis, 2 * runs * (steps - 1)))
+
+
+@pytest.mark.parametrize(("kind", "stay"), [(IMM, 2.0), (MMAE, 1e9), (LinearIMM, 2.0), (LinearMMAE, 1e9)])
+def test_errors_of_the_banks_are_as_large_as_they_say(kind: type[IMM | MMAE], stay: float) -> None:
+    nees, nis = bank_consistency(kind, stay, MATCHED)
+    assert 0.0005 < nees < 0.9995
+    # Near saturation a first-order filter expects 3 % too much of its innovations, alone as in a bank.
+    assert nis < 0.9995
+    assert nis > 0.0005 or kind is IMM
+
+
+@pytest.mark.parametrize(("kind", "stay"), [(LinearIMM, 2.0), (LinearMMAE, 1e9)])
+def test_a_bank_that_is_too_sure_is_seen(kind: type[IMM | MMAE], stay: float) -> None:
+    nees, nis = bank_consistency(kind, stay, DynamicNoise(0.15, 0.01, 0.01, 0.7))
+    assert nees > 0.9995
+    assert nis > 0.9995
 
 
 # Blends.

@@ -23,6 +23,7 @@ from crosscomb.filters.base import (
     Inputs,
     KernelFilter,
 )
+from crosscomb.filters.blends import CovarianceFusion, FusionNoise, FuzzyBlend, FuzzyNoise
 from crosscomb.filters.dynamic_ekf import DynamicEKF, DynamicNoise
 from crosscomb.filters.dynamic_pf import DynamicPF
 from crosscomb.filters.kinematic_kf import KinematicKF, KinematicNoise
@@ -264,3 +265,53 @@ def test_particle_filters_of_two_states_are_consistent(name: str, wrong: str) ->
     assert within_bounds(nees_of_beta(name), PARTICLE_RUNS)
     halved = 0.5 * getattr(TWO_STATES[name][0].noise, wrong)
     assert not within_bounds(nees_of_beta(name, **{wrong: halved}), PARTICLE_RUNS)
+
+
+def right_members(slip_rate: float) -> dict[str, KernelFilter]:
+    """Blends and their members, with the errors that each member has on drives of the single track.
+
+    The kinematic filter's accelerometers are right there but for what shakes beta and ay beside them.
+    """
+    dynamic = DynamicNoise(0.3, slip_rate, 0.01, 0.3)
+    accel = float(np.hypot(20.0 * slip_rate, 0.3 * np.sqrt(DT)))
+    kinematic = KinematicNoise(accel=accel, ay_scale=0.0, accel_bias=1e-6, rolling=1e6)
+    return {
+        "kinematic": KinematicKF(GOLF, kinematic),
+        "dynamic": DynamicEKF(GOLF, dynamic),
+        "fuzzy_blend": FuzzyBlend(GOLF, FuzzyNoise(kinematic=kinematic, dynamic=dynamic)),
+        "covariance_fusion": CovarianceFusion(GOLF, FusionNoise(kinematic, dynamic)),
+    }
+
+
+def nees_of_blends(slip_rate: float) -> dict[str, np.ndarray]:
+    """Summed NEES of beta at four instants, of filters that expect this disturbance of beta, on drives with 0.02."""
+    rng, instants = np.random.default_rng(5), [40, 80, 120, 160]
+    drive_of, tested = right_members(0.02)["dynamic"], right_members(slip_rate)
+    nees = {name: np.zeros(len(instants)) for name in tested}
+    for _ in range(RUNS):
+        samples, truth = dynamic_drive(rng, drive_of)
+        samples[:, AX] = -truth[:, 0] * 20.0 * np.tan(truth[:, 1])  # the speed is held
+        for name, estimator in tested.items():
+            estimate = estimator.run(Inputs(DT, samples))
+            nees[name] += (((estimate.beta - truth[:, 1]) / estimate.beta_std) ** 2)[instants]
+    return nees
+
+
+def test_blends_err_no_more_than_they_say() -> None:
+    """A blend counts its members' disagreement on top of their spread, as one of them may be wrong.
+
+    Where both are right, as here, that overstates its error: its NEES is below the two-sided bounds.
+    """
+    low, high = chi2.interval(0.999, RUNS)
+    nees = nees_of_blends(0.02)
+    for name in ("kinematic", "dynamic"):
+        assert np.all((low < nees[name]) & (nees[name] < high)), name
+    for name in ("fuzzy_blend", "covariance_fusion"):
+        assert np.all((nees[name] > 0.1 * RUNS) & (nees[name] < low)), name
+
+
+def test_blends_of_members_that_are_too_sure_are_seen() -> None:
+    high = chi2.ppf(0.9995, RUNS)
+    nees = nees_of_blends(0.004)
+    for name in ("fuzzy_blend", "covariance_fusion"):
+        assert np.any(nees[name] > high), name

@@ -31,6 +31,7 @@ from crosscomb.filters.base import (
     Inputs,
 )
 from crosscomb.filters.catalogue import CATALOGUE, make_filter
+from crosscomb.filters.cross_combined import CrossCombinedUKF, CrossNoise
 from crosscomb.filters.cubature import (
     HORIZON_PRIOR,
     LEAST_WEIGHT,
@@ -50,6 +51,7 @@ from crosscomb.filters.dense import (
     propagate_cov,
     triangular_factor,
 )
+from crosscomb.filters.kinematic_kf import KinematicNoise
 from crosscomb.filters.planar import PlanarFilter, PlanarNoise, expect, planar_move, substeps
 from crosscomb.filters.planar_ekf import DoubleTrackEKF, FirstOrderEKF, IteratedEKF, ekf_update
 from crosscomb.filters.reference_planar import (
@@ -468,6 +470,16 @@ def test_a_filter_that_is_too_sure_is_seen() -> None:
     nees, nis = consistency(FirstOrderEKF(GOLF, noise=SHARP._replace(v_rate=0.1, ay=0.2)))
     assert nees.max() > 0.9995
     assert nis > 0.9995
+
+
+@pytest.mark.parametrize(("accel", "sure"), [(0.31, False), (0.03, True)])
+def test_the_cross_combination_errs_no_more_than_it_says(accel: float, sure: bool) -> None:
+    """Both members are right here; it counts their disagreement all the same and so overstates its error."""
+    kinematic = KinematicNoise(accel=accel, ay_scale=0.0, accel_bias=1e-6, rolling=1e6, speed=0.05)
+    noise = CrossNoise(kinematic=kinematic, dynamic=SHARP._replace(v_rate=0.03) if sure else SHARP)
+    nees, _ = consistency(CrossCombinedUKF(GOLF, noise))
+    assert nees[0] < 0.9995, "both start at one answer"
+    assert np.any(nees[1:] > 0.9995) if sure else np.all(nees[1:] < 0.0005)
 
 
 HORIZONS = pytest.mark.parametrize("kind", [CubatureRecedingHorizonKF, CubatureHybridKF])
