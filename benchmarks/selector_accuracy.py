@@ -90,7 +90,7 @@ def simulation_only(selector: str, options: argparse.Namespace) -> None:
 def left_out(selector: str, options: argparse.Namespace) -> None:
     """Each shared real recording judged by what was learned on the other real ones and some simulated logs."""
     own, real = logs_of_cars(options.learn), read(options.real)
-    few = own[:: max(len(own) // BESIDE_REAL, 1)]
+    few = beside_real(own)
     fitter = fitter_of([*few, *real], selector, options.jobs)
 
     def judge(place: int) -> Evaluation:
@@ -105,6 +105,11 @@ def left_out(selector: str, options: argparse.Namespace) -> None:
 def logs_of_cars(folder: Path) -> list[Recording]:
     """Simulated logs of the cars of the shared real set."""
     return [one for one in read(folder) if one.path.parent.name in CARS]
+
+
+def beside_real(own: Sequence[Recording]) -> Sequence[Recording]:
+    """Some of the simulated logs, evenly."""
+    return own[:: max(len(own) // BESIDE_REAL, 1)]
 
 
 def shared_set(folder: Path) -> list[Recording]:

@@ -1,38 +1,80 @@
 """How much windows of ay and yaw rate can tell: what boosted trees get out of them, beside one tree and the oracle.
 
-Run with ``python benchmarks/selector_bound.py LEARN FRESH``; the folders are those of ``selector_accuracy.py``. Per
-filter, boosted trees learn from the windows of LEARN how much worse than the best filter it is; on FRESH that is taken
-that should lose least. They are far larger than a tree that can be read, so what they miss is not in the windows.
-RMSE is over whole windows, without a switch, in the mean over recordings.
+Run with ``python benchmarks/selector_bound.py LEARN FRESH [REAL]``; folders and tables are those of
+``selector_accuracy.py``. Per filter, boosted trees learn from windows how much worse than the best filter it is; on
+windows of other recordings that filter is taken that should lose least. They are far larger than a tree that can be
+read, so what they miss is not in the windows. RMSE is over whole windows, without a switch, in the mean over
+recordings.
 """
 
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+from selector_accuracy import beside_real, fitter_of, logs_of_cars, read, shared_set
 
-from crosscomb.training.fit import SELECTORS
+from crosscomb.training.fit import SELECTORS, Fitter
 from crosscomb.training.fit_boosted import fit_trees
 from crosscomb.training.fit_correction import recording_weights
 from crosscomb.training.fit_tree import fit_tree
-from crosscomb.training.labels import Windows, concatenate
-from crosscomb.training.recordings import read_recordings
-from crosscomb.training.train import default_filters, make_fitter
+from crosscomb.training.recordings import Recording
+
+ROWS = ("one tree", "boosted trees", "oracle")
 
 
-def windows_of(folder: Path, jobs: int) -> tuple[Windows, np.ndarray]:
-    """Labelled windows of a folder, and the recording of each."""
-    recordings = read_recordings(folder)[0]
-    fitter = make_fitter(recordings, "tree", default_filters(recordings[0].vehicle), 1, jobs=jobs)
-    members = range(len(recordings))
-    return concatenate(fitter.windows), fitter.owner(members)
+def squares(fitter: Fitter, learned: Sequence[int], judged: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
+    """Mean square error [rad^2] of recordings by filter ``(judged, filters)`` and by the rows of `ROWS`."""
+    learn, owner = fitter.together(learned), fitter.owner(learned)
+    windows, judged_owner = fitter.together(judged), fitter.owner(judged)
+    weight = recording_weights(learn.rmse[:, fitter.safe(learned)], owner) * fitter.balance(learned)[owner]
+    excess = np.degrees(learn.rmse - learn.rmse.min(axis=1, keepdims=True)) * weight[:, None]
+    foretold = [
+        fit_trees(learn.features, np.minimum(lost, 30.0), 0, 150).predict(windows.features)
+        for lost in excess.T
+    ]
+    tree = fit_tree(learn.features, learn, True, SELECTORS["tree"].shapes[1], 0, weight)
+    chosen = (tree.predict(windows.features), np.argmin(foretold, axis=0), windows.label)
+    every, square = np.arange(len(windows.rmse)), windows.rmse**2
+    counts = np.bincount(judged_owner)
+
+    def mean(column: np.ndarray) -> np.ndarray:
+        return np.bincount(judged_owner, column) / counts
+
+    return (
+        np.column_stack([mean(column) for column in square.T]),
+        np.column_stack([mean(square[every, one]) for one in chosen]),
+    )
 
 
-def mean_rmse(square: np.ndarray, owner: np.ndarray) -> float:
-    """Mean over recordings [deg] of the root of the mean square error of windows."""
-    return float(np.degrees(np.mean(np.sqrt(np.bincount(owner, square) / np.bincount(owner)))))
+def show(title: str, single: np.ndarray, others: np.ndarray) -> None:
+    """Print mean RMSE of recordings and its ratio to the best single filter."""
+    best = float(np.degrees(np.sqrt(single).mean(axis=0).min()))
+    print(f"\n{title}: {len(single)} recordings\n{'best single filter':20} {best:.3f} deg")
+    for name, rmse in zip(ROWS, np.degrees(np.sqrt(others).mean(axis=0)), strict=True):
+        print(f"{name:20} {rmse:.3f} deg, ratio {rmse / best:.3f}")
+
+
+def at_once(title: str, learn: Sequence[Recording], judged: Sequence[Recording], jobs: int) -> None:
+    """All recordings judged by what was learned on all others."""
+    fitter = fitter_of([*learn, *judged], "tree", jobs)
+    places = range(len(learn), len(fitter.banks))
+    show(title, *squares(fitter, range(len(learn)), places))
+
+
+def left_out(few: Sequence[Recording], real: Sequence[Recording], judged: set[str], jobs: int) -> None:
+    """Each shared real recording judged by what was learned on the other real ones and some simulated logs."""
+    fitter = fitter_of([*few, *real], "tree", jobs)
+    every = range(len(fitter.banks))
+    parts = [
+        squares(fitter, [i for i in every if i != place], [place])
+        for place in every
+        if fitter.banks[place].recording.name in judged
+    ]
+    single, others = (np.concatenate(column) for column in zip(*parts, strict=True))
+    show("shared real set, leave one out", single, others)
 
 
 def main() -> None:
@@ -42,28 +84,15 @@ def main() -> None:
     )
     parser.add_argument("learn", type=Path)
     parser.add_argument("fresh", type=Path)
+    parser.add_argument("real", type=Path, nargs="?")
     parser.add_argument("--jobs", type=int, default=2)
     options = parser.parse_args()
-    learn, owner = windows_of(options.learn, options.jobs)
-    fresh, fresh_owner = windows_of(options.fresh, options.jobs)
-    square, every = fresh.rmse**2, np.arange(len(fresh.rmse))
-    singles = [mean_rmse(square[:, i], fresh_owner) for i in range(square.shape[1])]
-    best = min(singles)
-    weight = recording_weights(learn.rmse[:, int(np.argmin(singles))], owner)
-    excess = np.degrees(learn.rmse - learn.rmse.min(axis=1, keepdims=True)) * weight[:, None]
-    foretold = [
-        fit_trees(learn.features, np.minimum(lost, 30.0), 0, 150).predict(fresh.features) for lost in excess.T
-    ]
-    shape = SELECTORS["tree"].shapes[1]
-    tree = fit_tree(learn.features, learn, True, shape, 0, weight).predict(fresh.features)
-    rows = {
-        "best single filter": best,
-        "one tree": mean_rmse(square[every, tree], fresh_owner),
-        "boosted trees": mean_rmse(square[every, np.argmin(foretold, axis=0)], fresh_owner),
-        "oracle": mean_rmse(square.min(axis=1), fresh_owner),
-    }
-    for name, rmse in rows.items():
-        print(f"{name:20} {rmse:.3f} deg, ratio {rmse / best:.3f}")
+    at_once("fresh simulated logs", read(options.learn), read(options.fresh), options.jobs)
+    if options.real is not None:
+        own, shared = logs_of_cars(options.learn), shared_set(options.real)
+        at_once("shared real set, simulation only", own, shared, options.jobs)
+        names = {one.name for one in shared}
+        left_out(beside_real(own), read(options.real), names, options.jobs)
 
 
 if __name__ == "__main__":
