@@ -6,8 +6,8 @@ anew"); REAL holds the real logs. Three tables per selector, each beside the sin
 
 - *simulated*: learned on all of LEARN, judged on FRESH;
 - *simulation only*: learned on LEARN's logs of the cars of the shared set, judged on the shared real set;
-- *leave one out*: each recording of the shared set is judged by what was learned on all other real recordings and a
-  hundred of those simulated logs.
+- *leave one out*: each recording of the shared set is judged by what was learned on all other real recordings and
+  some of those simulated logs, evenly.
 
 Nothing judged is seen in any fit, and nothing is chosen by these figures.
 """
@@ -36,7 +36,7 @@ CARS = ("volvo_s90", "volvo_v40", "golf_gti_2018", "ferrari_250lm")
 """Shipped vehicles of the shared real set."""
 
 BESIDE_REAL = 100
-"""Simulated logs beside the real ones where one real recording is left out."""
+"""At least so many simulated logs, as far as there are, beside the real ones where one of these is left out."""
 
 
 def read(folder: Path) -> list[Recording]:
@@ -90,7 +90,7 @@ def simulation_only(selector: str, options: argparse.Namespace) -> None:
 def left_out(selector: str, options: argparse.Namespace) -> None:
     """Each shared real recording judged by what was learned on the other real ones and some simulated logs."""
     own, real = logs_of_cars(options.learn), read(options.real)
-    few = beside_real(own)
+    few = own[beside_real(len(own))]
     fitter = fitter_of([*few, *real], selector, options.jobs)
 
     def judge(place: int) -> Evaluation:
@@ -104,12 +104,17 @@ def left_out(selector: str, options: argparse.Namespace) -> None:
 
 def logs_of_cars(folder: Path) -> list[Recording]:
     """Simulated logs of the cars of the shared real set."""
-    return [one for one in read(folder) if one.path.parent.name in CARS]
+    return [one for one in read(folder) if is_of_cars(one)]
 
 
-def beside_real(own: Sequence[Recording]) -> Sequence[Recording]:
-    """Some of the simulated logs, evenly."""
-    return own[:: max(len(own) // BESIDE_REAL, 1)]
+def is_of_cars(recording: Recording) -> bool:
+    """Whether a simulated log is of a car of the shared real set."""
+    return recording.path.parent.name in CARS
+
+
+def beside_real(count: int) -> slice:
+    """Which of so many simulated logs stand beside the real ones: some, evenly."""
+    return slice(None, None, max(count // BESIDE_REAL, 1))
 
 
 def shared_set(folder: Path) -> list[Recording]:

@@ -11,16 +11,17 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
-from selector_accuracy import beside_real, fitter_of, logs_of_cars, read, shared_set
+from selector_accuracy import beside_real, fitter_of, is_of_cars, read
 
+from crosscomb.training.benchmark import SHARED_SET
 from crosscomb.training.fit import SELECTORS, Fitter
 from crosscomb.training.fit_boosted import fit_trees
 from crosscomb.training.fit_correction import recording_weights
 from crosscomb.training.fit_tree import fit_tree
-from crosscomb.training.recordings import Recording
 
 ROWS = ("one tree", "boosted trees", "oracle")
 
@@ -57,26 +58,6 @@ def show(title: str, single: np.ndarray, others: np.ndarray) -> None:
         print(f"{name:20} {rmse:.3f} deg, ratio {rmse / best:.3f}")
 
 
-def at_once(title: str, learn: Sequence[Recording], judged: Sequence[Recording], jobs: int) -> None:
-    """All recordings judged by what was learned on all others."""
-    fitter = fitter_of([*learn, *judged], "tree", jobs)
-    places = range(len(learn), len(fitter.banks))
-    show(title, *squares(fitter, range(len(learn)), places))
-
-
-def left_out(few: Sequence[Recording], real: Sequence[Recording], judged: set[str], jobs: int) -> None:
-    """Each shared real recording judged by what was learned on the other real ones and some simulated logs."""
-    fitter = fitter_of([*few, *real], "tree", jobs)
-    every = range(len(fitter.banks))
-    parts = [
-        squares(fitter, [i for i in every if i != place], [place])
-        for place in every
-        if fitter.banks[place].recording.name in judged
-    ]
-    single, others = (np.concatenate(column) for column in zip(*parts, strict=True))
-    show("shared real set, leave one out", single, others)
-
-
 def main() -> None:
     """Print RMSE and its ratio to the best single filter."""
     parser = argparse.ArgumentParser(
@@ -87,12 +68,22 @@ def main() -> None:
     parser.add_argument("real", type=Path, nargs="?")
     parser.add_argument("--jobs", type=int, default=2)
     options = parser.parse_args()
-    at_once("fresh simulated logs", read(options.learn), read(options.fresh), options.jobs)
-    if options.real is not None:
-        own, shared = logs_of_cars(options.learn), shared_set(options.real)
-        at_once("shared real set, simulation only", own, shared, options.jobs)
-        names = {one.name for one in shared}
-        left_out(beside_real(own), read(options.real), names, options.jobs)
+    folders = [read(one) for one in (options.learn, options.fresh, options.real) if one is not None]
+    fitter = fitter_of([one for folder in folders for one in folder], "tree", options.jobs)
+    starts = np.cumsum([0, *map(len, folders)]).tolist()
+    learn, fresh, *rest = [list(range(begin, end)) for begin, end in pairwise(starts)]
+    show("fresh simulated logs", *squares(fitter, learn, fresh))
+    if not rest:
+        return
+    (real,) = rest
+    recordings = [bank.recording for bank in fitter.banks]
+    shared = [i for i in real if recordings[i].name in SHARED_SET]
+    own = [i for i in learn if is_of_cars(recordings[i])]
+    show("shared real set, simulation only", *squares(fitter, own, shared))
+    known = [*own[beside_real(len(own))], *real]
+    parts = [squares(fitter, [i for i in known if i != place], [place]) for place in shared]
+    single, others = (np.concatenate(column) for column in zip(*parts, strict=True))
+    show("shared real set, leave one out", single, others)
 
 
 if __name__ == "__main__":
