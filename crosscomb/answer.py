@@ -5,6 +5,7 @@ Works in pieces of any length, one sample or a whole log, with the same result b
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -13,7 +14,7 @@ import numpy as np
 from crosscomb.artefact import Artefact
 from crosscomb.choice import blend
 from crosscomb.correction import CorrectionState, correct, lag_gain, make_correction_state
-from crosscomb.features import Memory, all_features, make_memory
+from crosscomb.features import Memory, all_features, innovations_of, make_memory
 from crosscomb.models.vehicle import Vehicle
 from crosscomb.switch import SwitchState, make_switch_state, switch, switch_times
 
@@ -60,7 +61,7 @@ def start_selection(artefact: Artefact, vehicle: Vehicle) -> Selection:
     """Make the state before the first sample of a drive."""
     filters = len(artefact.filters)
     first = artefact.filter_names.index(artefact.fallback)
-    memory = make_memory(filters)
+    memory = make_memory(filters, len(innovations_of(artefact.filter_names)))
     return Selection(
         artefact=artefact,
         vehicle=vehicle,
@@ -77,6 +78,7 @@ def select(
     beta: np.ndarray,
     beta_std: np.ndarray,
     nis: np.ndarray,
+    innovations: Sequence[np.ndarray],
     windows: np.ndarray,
 ) -> Answer:
     """Take the next samples of a drive.
@@ -88,13 +90,16 @@ def select(
     samples : (n, 17)
         As in `crosscomb.filters.base.Inputs`.
     beta, beta_std, nis : (n, filters) [rad], [rad], [-]
+    innovations : sequence of (n, m)
+        Of each filter.
     windows : (n, f) float32
         Features of the windows, see `crosscomb.windows`.
     """
     artefact, dt = selection.artefact, selection.dt
     features = windows
     if artefact.sees_all:
-        features = all_features(samples, beta, beta_std, nis, selection.vehicle, dt, selection.memory)
+        told = beta, beta_std, nis, innovations
+        features = all_features(samples, *told, selection.vehicle, dt, selection.memory)
     seen = features if artefact.tree_sees_all else windows
     outside = artefact.tree.outside(seen)
     if artefact.choice is None:

@@ -21,7 +21,7 @@ from crosscomb.selector import Tree
 from crosscomb.switch import SwitchSettings
 from crosscomb.windows import WindowSettings
 
-SCHEMA_VERSION = 3
+SCHEMA_VERSION = 4
 
 SHIPPED = ("reference", "hybrid")
 """Artefacts that come with the package: the default tree, and the learned correction."""

@@ -13,7 +13,7 @@ import numpy as np
 
 from crosscomb.artefact import Artefact, FilterSettings
 from crosscomb.errors import UsageError
-from crosscomb.filters.base import HELD, Inputs, KernelFilter, Started, next_inputs
+from crosscomb.filters.base import HELD, Estimate, Inputs, KernelFilter, Started, next_inputs
 from crosscomb.filters.catalogue import CATALOGUE, make_filter
 from crosscomb.models.vehicle import Vehicle
 from crosscomb.signals import COLUMN
@@ -42,6 +42,8 @@ class Seen(NamedTuple):
     ----------
     inputs : Inputs
     beta, beta_std, nis : (n, filters) [rad], [rad], [-]
+    innovations : list of (n, m)
+        Of each filter, see `KernelFilter.innovations`.
     features : (n, f) float32
         Of the window that ends at each point.
     """
@@ -50,6 +52,7 @@ class Seen(NamedTuple):
     beta: np.ndarray
     beta_std: np.ndarray
     nis: np.ndarray
+    innovations: list[np.ndarray]
     features: np.ndarray
 
 
@@ -82,8 +85,17 @@ def next_seen(drive: Drive, points: np.ndarray) -> Seen:
         np.column_stack([estimate.beta for estimate in estimates]),
         np.column_stack([estimate.beta_std for estimate in estimates]),
         np.column_stack([estimate.nis for estimate in estimates]),
+        [
+            _innovations(estimator, estimate)
+            for estimator, estimate in zip(drive.filters, estimates, strict=True)
+        ],
         next_windows(drive.past, points[:, _AY], points[:, _YAW_RATE], drive.window),
     )
+
+
+def _innovations(estimator: KernelFilter, estimate: Estimate) -> np.ndarray:
+    told = [estimate.extra[name] for name in estimator.innovations()]
+    return np.array(told).T if told else np.empty((len(estimate.beta), 0))
 
 
 def make_filters(entries: Sequence[FilterSettings], vehicle: Vehicle) -> list[KernelFilter]:

@@ -51,6 +51,8 @@ class FilterRun:
     ----------
     segment : Segment
     beta, beta_std, nis : (n, filters) [rad], [rad], [-]
+    innovations : list of (n, m)
+        Of each filter.
     features : (n, f) float32
         Of the window that ends at each sample.
     inputs : Inputs
@@ -62,6 +64,7 @@ class FilterRun:
     beta: np.ndarray
     beta_std: np.ndarray
     nis: np.ndarray
+    innovations: list[np.ndarray]
     features: np.ndarray
     inputs: Inputs
     vehicle: Vehicle
@@ -69,20 +72,24 @@ class FilterRun:
     def answer(self, artefact: Artefact) -> Answer:
         """Let the artefact's selector make one answer of its filters."""
         selection = start_selection(artefact, self.vehicle)
-        return select(selection, self.inputs.samples, self.beta, self.beta_std, self.nis, self.features)
+        told = self.beta, self.beta_std, self.nis, self.innovations
+        return select(selection, self.inputs.samples, *told, self.features)
 
     def all_features(self) -> np.ndarray:
         """All features of every sample ``(n, f) float32``, see `crosscomb.features`."""
-        memory = make_memory(self.beta.shape[1])
-        return all_features(
-            self.inputs.samples, self.beta, self.beta_std, self.nis, self.vehicle, self.inputs.dt, memory
-        )
+        told = self.beta, self.beta_std, self.nis, self.innovations
+        memory = make_memory(self.beta.shape[1], sum(each.shape[1] for each in self.innovations))
+        return all_features(self.inputs.samples, *told, self.vehicle, self.inputs.dt, memory)
 
     def only(self, members: Sequence[int]) -> FilterRun:
         """Keep some of the filters, in the order given."""
         chosen = list(members)
         return replace(
-            self, beta=self.beta[:, chosen], beta_std=self.beta_std[:, chosen], nis=self.nis[:, chosen]
+            self,
+            beta=self.beta[:, chosen],
+            beta_std=self.beta_std[:, chosen],
+            nis=self.nis[:, chosen],
+            innovations=[self.innovations[member] for member in chosen],
         )
 
 
@@ -103,9 +110,7 @@ def run_filters(
     runs = []
     for segment in resample(signals, rate):
         seen = next_seen(start_drive(vehicle, filters, rate, window), segment.signals.rows())
-        runs.append(
-            FilterRun(segment, seen.beta, seen.beta_std, seen.nis, seen.features, seen.inputs, vehicle)
-        )
+        runs.append(FilterRun(segment, *seen[1:], seen.inputs, vehicle))
     return runs
 
 

@@ -11,12 +11,14 @@ others are even. A correction can so be made exactly odd, and nothing is learned
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 
 from crosscomb.filters.base import AX, AY, STEER, STEER_REAR, VFL, VFR, VRL, VRR, VX, YAW_RATE
+from crosscomb.filters.catalogue import CATALOGUE
 from crosscomb.models.vehicle import Vehicle
 from crosscomb.signals import MIN_SPEED
 
@@ -28,6 +30,17 @@ DIFFERENTIATION = 0.05
 
 MOST_NIS = 100.0
 """A larger normalised innovation says no more than this one."""
+
+MOST_INNOVATION = 10.0
+"""A larger innovation says no more than this one, in its own unit."""
+
+INNOVATION_ODD = {
+    "innovation_yaw_rate [rad/s]": True,
+    "innovation_ay [m/s^2]": True,
+    "innovation_vx [m/s]": False,
+    "innovation_vy [m/s]": True,
+}
+"""Whether an innovation changes sign in a mirrored drive; which filter gives which stands in its `extras`."""
 
 STEADY_SLIP = "steady slip of the linear rear tyre [rad]"
 SPREAD = "spread of beta [rad]"
@@ -59,7 +72,9 @@ BETAS = len(ODD) + len(EVEN)
 
 
 class Layout(NamedTuple):
-    """Where the features stand: memory by memory the channels of the signals, then beta, NIS and beta_std of filters.
+    """Where the features stand: memory by memory the channels of the signals, then those of the filters.
+
+    Of filters beta, then NIS, then beta_std, then the innovations of those that give any.
 
     Attributes
     ----------
@@ -67,7 +82,7 @@ class Layout(NamedTuple):
     odd : (f,) bool
         Features that change sign in a mirrored drive.
     plain : (f,) bool
-        Features of the drive and of the filters' beta; the others are what filters say of themselves.
+        Features of the drive, of the filters' beta and innovations; the others are what filters say of themselves.
     slip : (f,) bool
         Features that are sideslip angles.
     """
@@ -107,6 +122,11 @@ class FeatureCar(NamedTuple):
     rear_slip: float  # slip of the linear rear tyre over ay [rad s^2/m]
 
 
+def innovations_of(filters: Sequence[str]) -> list[tuple[str, str]]:
+    """Filter and innovation of each innovation that filters of the catalogue give, in order."""
+    return [(name, innovation) for name in filters for innovation in CATALOGUE[name].load().innovations()]
+
+
 def layout(filters: list[str]) -> Layout:
     """Names of the features in order, and which are odd.
 
@@ -115,15 +135,20 @@ def layout(filters: list[str]) -> Layout:
     filters : list of str
         Names of the filters.
     """
+    innovations = innovations_of(filters)
     channels = (
         *ODD, *EVEN, *(f"beta {name} [rad]" for name in filters), *(f"NIS {name}" for name in filters),
         *(f"beta_std {name} [rad]" for name in filters),
+        *(innovation.replace(" ", f" {name} ") for name, innovation in innovations),
     )  # fmt: skip
     odd, plain, slip = np.zeros((3, len(channels)), dtype=bool)
     odd[: len(ODD)] = True
     odd[BETAS : BETAS + len(filters)] = True
     plain[: BETAS + len(filters)] = True
     plain[channels.index(SPREAD)] = False
+    first = len(channels) - len(innovations)
+    odd[first:] = [INNOVATION_ODD[innovation] for _, innovation in innovations]
+    plain[first:] = True
     slip[ODD.index(STEADY_SLIP)] = True
     slip[BETAS : BETAS + len(filters)] = True
     names = (
@@ -145,9 +170,9 @@ def feature_car(vehicle: Vehicle) -> FeatureCar:
     )
 
 
-def make_memory(n_filters: int) -> Memory:
+def make_memory(n_filters: int, n_innovations: int) -> Memory:
     """Make the state before the first sample."""
-    channels = BETAS + 3 * n_filters
+    channels = BETAS + 3 * n_filters + n_innovations
     return Memory(np.zeros((len(MEMORIES), channels)), np.zeros(5))
 
 
@@ -172,7 +197,7 @@ def _rear_wheels(sample, yaw_rate, speed, track_rear):
 
 
 @njit(cache=True)
-def _channels(held, sample, beta, beta_std, nis, car, lead, out):
+def _channels(held, sample, beta, beta_std, nis, innovations, car, lead, out):
     """Write the channels of one sample."""
     ay, yaw_rate = _hold(sample[AY], held, 0), _hold(sample[YAW_RATE], held, 1)
     ax, speed, steer = _hold(sample[AX], held, 2), max(sample[VX], MIN_SPEED), sample[STEER]
@@ -200,10 +225,13 @@ def _channels(held, sample, beta, beta_std, nis, car, lead, out):
         out[BETAS + filters + i] = min(nis[i], MOST_NIS) if math.isfinite(nis[i]) else 1.0
         if math.isfinite(beta_std[i]):
             out[BETAS + 2 * filters + i] = beta_std[i]
+    for i in range(innovations.size):
+        known = min(max(innovations[i], -MOST_INNOVATION), MOST_INNOVATION)
+        out[BETAS + 3 * filters + i] = known if math.isfinite(innovations[i]) else 0.0
 
 
 @njit(cache=True)
-def features_step(memory, sample, beta, beta_std, nis, car, gains, out):
+def features_step(memory, sample, beta, beta_std, nis, innovations, car, gains, out):
     """Write the features of one sample.
 
     Parameters
@@ -213,6 +241,8 @@ def features_step(memory, sample, beta, beta_std, nis, car, gains, out):
     sample : (17,)
         As in `crosscomb.filters.base.Inputs`.
     beta, beta_std, nis : (filters,) [rad], [rad], [-]
+    innovations : (m,)
+        Of all the filters in order; one that is missing counts as 0.
     car : FeatureCar
     gains : (memories + 1,)
         Share of the new sample in each mean, and in the yaw rate that its change is counted from.
@@ -220,7 +250,7 @@ def features_step(memory, sample, beta, beta_std, nis, car, gains, out):
     """
     means = memory.means
     levels, channels = means.shape
-    _channels(memory.held, sample, beta, beta_std, nis, car, gains[levels], means[0])
+    _channels(memory.held, sample, beta, beta_std, nis, innovations, car, gains[levels], means[0])
     fresh = memory.held[3] == 0.0
     memory.held[3] = 1.0
     for level in range(levels):
@@ -231,9 +261,9 @@ def features_step(memory, sample, beta, beta_std, nis, car, gains, out):
 
 
 @njit(cache=True)
-def _features_run(memory, samples, beta, beta_std, nis, car, gains, out):
+def _features_run(memory, samples, beta, beta_std, nis, innovations, car, gains, out):
     for k in range(samples.shape[0]):
-        features_step(memory, samples[k], beta[k], beta_std[k], nis[k], car, gains, out[k])
+        features_step(memory, samples[k], beta[k], beta_std[k], nis[k], innovations[k], car, gains, out[k])
 
 
 def memory_gains(dt: float) -> np.ndarray:
@@ -247,6 +277,7 @@ def all_features(
     beta: np.ndarray,
     beta_std: np.ndarray,
     nis: np.ndarray,
+    innovations: Sequence[np.ndarray],
     vehicle: Vehicle,
     dt: float,
     memory: Memory,
@@ -258,6 +289,8 @@ def all_features(
     samples : (n, 17)
         As in `crosscomb.filters.base.Inputs`.
     beta, beta_std, nis : (n, filters) [rad], [rad], [-]
+    innovations : sequence of (n, m)
+        Of each filter.
     vehicle : Vehicle
     dt : float [s]
     memory : Memory
@@ -268,8 +301,6 @@ def all_features(
     (n, features) float32
     """
     out = np.empty((len(samples), memory.means.size), dtype=np.float32)
-    _features_run(
-        memory, samples, np.ascontiguousarray(beta), np.ascontiguousarray(beta_std), np.ascontiguousarray(nis),
-        feature_car(vehicle), memory_gains(dt), out,
-    )  # fmt: skip
+    columns = (np.ascontiguousarray(each) for each in (beta, beta_std, nis, np.hstack(innovations)))
+    _features_run(memory, samples, *columns, feature_car(vehicle), memory_gains(dt), out)
     return out

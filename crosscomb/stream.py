@@ -202,7 +202,8 @@ def _answers_at(stretch: Stretch, seen: Seen) -> Answers:
     plan, samples, dt = stretch.plan, seen.inputs.samples, seen.inputs.dt
     if plan.switched:
         beta, beta_std, nis = (column[:, plan.members] for column in (seen.beta, seen.beta_std, seen.nis))
-        answer = select(stretch.selection, samples, beta, beta_std, nis, seen.features)
+        innovations = [seen.innovations[member] for member in plan.members]
+        answer = select(stretch.selection, samples, beta, beta_std, nis, innovations, seen.features)
     else:
         nothing = np.zeros(len(samples), dtype=np.int64)
         answer = Answer(seen.beta[:, 0], seen.beta_std[:, 0], nothing, nothing > 0, nothing)

@@ -26,6 +26,9 @@ SAMPLE_WIDTH = 17
 BETA, BETA_STD, NIS = range(3)
 """Columns of an estimate: what kernels write."""
 
+INNOVATION = "innovation_"
+"""Beginning of the names of those further columns that are innovations."""
+
 LOW_SPEED_STD = math.radians(2.0)
 """Standard deviation of the low-speed answer [rad]: tyre slip and steering offset at walking speed."""
 
@@ -101,9 +104,16 @@ class KernelFilter:
     tables: ClassVar[Mapping[str, Callable[[str, Any], Any]]] = {}
     """Settings that are tables of their own, each with the function that checks it: (where, value) to setting."""
     extras: ClassVar[tuple[str, ...]] = ()
-    """Columns that the kernels write behind `NIS`, each as ``name [unit]``."""
+    """Columns that the kernels write behind `NIS`, each as ``name [unit]``.
+
+    Names that begin with `INNOVATION` are innovations: measured minus predicted, NaN where not measured."""
     told_by_likelihood: ClassVar[tuple[str, ...]] = ()
     """Noise settings that the likelihood of the measurements tells; none where the kernels do not keep it."""
+
+    @classmethod
+    def innovations(cls) -> tuple[str, ...]:
+        """Those of its `extras` that are innovations."""
+        return tuple(name for name in cls.extras if name.startswith(INNOVATION))
 
     @cached_property
     def car(self) -> SingleTrack:

@@ -75,10 +75,17 @@ def dynamic_predict(state, sample, car, noise, dt):
 
 @inlined
 def dynamic_update(state, sample, car, noise):
-    """Update with the yaw rate and ay that are there; give the NIS, NaN without any.
+    """Update with the yaw rate and ay that are there.
 
     One after the other with the Jacobian of the prediction, which equals the joint update as their noises are
     independent.
+
+    Returns
+    -------
+    nis : float
+        NaN without any.
+    innovation_yaw_rate, innovation_ay : float [rad/s], [m/s^2]
+        Measured minus predicted, both from before the update; NaN where not measured.
     """
     mean = state.mean
     yaw_prior, beta_prior = mean[0], mean[1]
@@ -106,35 +113,45 @@ def dynamic_update(state, sample, car, noise):
         part = scalar_update(state, ay_r, ay_b, sample[AY] - expected, noise.ay**2 + wrong_ay**2)
         nis = part if math.isnan(nis) else nis + part
     mean[1] = min(max(mean[1], -MAX_BETA), MAX_BETA)
-    return nis
+    return nis, sample[YAW_RATE] - yaw_prior, sample[AY] - measured[1]
 
 
 @inlined
 def dynamic_step(state, sample, car, noise, dt, out):
-    """One sample of the dynamic filter; `out` ``(3,)`` gets beta, its standard deviation and the NIS."""
+    """One sample of the dynamic filter; `out` ``(3,)`` gets beta, its standard deviation and the NIS.
+
+    Gives the innovations of yaw rate [rad/s] and ay [m/s^2], NaN where nothing was updated.
+    """
     mean, cov = state.mean, state.cov
     if below_gate(sample):
         low_speed_answer(sample, car, out)
         state.running[0] = 0
-        return
+        return math.nan, math.nan
     if state.running[0] == 0:
         low_speed_answer(sample, car, out)
         mean[0] = sample[YAW_RATE] if math.isfinite(sample[YAW_RATE]) else 0.0
         mean[1] = out[BETA]
         cov[0, 0], cov[0, 1], cov[1, 0], cov[1, 1] = noise.yaw_rate**2, 0.0, 0.0, out[BETA_STD] ** 2
         state.running[0] = 1
-        return
+        return math.nan, math.nan
     dynamic_predict(state, sample, car, noise, dt)
-    out[NIS] = dynamic_update(state, sample, car, noise)
+    out[NIS], innovation_yaw_rate, innovation_ay = dynamic_update(state, sample, car, noise)
     out[BETA] = mean[1]
     out[BETA_STD] = math.sqrt(cov[1, 1])
+    return innovation_yaw_rate, innovation_ay
+
+
+@inlined
+def telling_dynamic_step(state, sample, car, noise, dt, out):
+    """One sample of the dynamic filter; `out` ``(5,)`` gets the innovations too, as in `DynamicEKF.extras`."""
+    out[NIS + 1], out[NIS + 2] = dynamic_step(state, sample, car, noise, dt, out)
 
 
 @kernel
 def dynamic_run(state, samples, car, noise, dt, out):
     """All samples of the dynamic filter."""
     for k in range(samples.shape[0]):
-        dynamic_step(state, samples[k], car, noise, dt, out[k])
+        telling_dynamic_step(state, samples[k], car, noise, dt, out[k])
 
 
 @dataclass(frozen=True)
@@ -143,6 +160,7 @@ class DynamicEKF(KernelFilter):
 
     noise: DynamicNoise = DynamicNoise()
 
+    extras = ("innovation_yaw_rate [rad/s]", "innovation_ay [m/s^2]")
     told_by_likelihood = ("yaw_acceleration", "slip_rate", "yaw_rate", "ay")
-    step_kernel = staticmethod(dynamic_step)
+    step_kernel = staticmethod(telling_dynamic_step)
     run_kernel = staticmethod(dynamic_run)

@@ -230,15 +230,16 @@ def velocity_update(state, h0, h1, innovation, variance):
 
 @inlined
 def kinematic_update(state, sample, noise):
-    """Update with the measured vx; give the NIS, NaN where vx is only held."""
+    """Update with the measured vx; give the NIS and the innovation [m/s], NaN where vx is only held."""
     mean = state.mean
     if sample[VX_HELD] == 0.0:
-        nis, s = velocity_update(state, 1.0, 0.0, sample[VX] - mean[0], noise.speed**2)
+        innovation = sample[VX] - mean[0]
+        nis, s = velocity_update(state, 1.0, 0.0, innovation, noise.speed**2)
         if state.evidence.size > 0:
             state.evidence[0] += normal_log_density(nis, s)
-        return nis
+        return nis, innovation
     mean[0] = max(mean[0], MIN_SPEED)  # the gate cannot see the car stop
-    return math.nan
+    return math.nan, math.nan
 
 
 @inlined
@@ -275,11 +276,17 @@ def rolling_measurement(sample, vx, bias_ay, car, noise, dt):
 
 @inlined
 def rolling_update(state, sample, car, noise, dt):
-    """Update with a rear axle that moves along its wheels, as far as the car is driven gently."""
+    """Update with a rear axle that moves along its wheels, as far as the car is driven gently.
+
+    Gives the innovation [m/s], NaN where the car may slide.
+    """
     mean = state.mean
     h, rest, variance = rolling_measurement(sample, mean[0], mean[BIAS_AY], car, noise, dt)
-    if variance < math.inf:
-        velocity_update(state, h, 1.0, rest - h * mean[0] - mean[1], variance)
+    if not variance < math.inf:
+        return math.nan
+    innovation = rest - h * mean[0] - mean[1]
+    velocity_update(state, h, 1.0, innovation, variance)
+    return innovation
 
 
 @inlined
@@ -318,23 +325,33 @@ def velocity_answer(state, out):
 
 @inlined
 def kinematic_step(state, sample, car, noise, dt, out):
-    """One sample of the kinematic filter; `out` ``(3,)`` gets beta, its standard deviation and the NIS."""
+    """One sample of the kinematic filter; `out` ``(3,)`` gets beta, its standard deviation and the NIS.
+
+    Gives the innovations of vx and of the rolling rear axle's vy [m/s], NaN where nothing was updated.
+    """
     if kinematic_start(state, sample, car, noise, dt, out):
-        return
+        return math.nan, math.nan
     kinematic_predict(state, sample[AX], sample[AY], sample[YAW_RATE], 1.0, 0.0, noise, dt)
-    out[NIS] = kinematic_update(state, sample, noise)
+    out[NIS], innovation_vx = kinematic_update(state, sample, noise)
     limit_slip(state.mean)
-    rolling_update(state, sample, car, noise, dt)
+    innovation_vy = rolling_update(state, sample, car, noise, dt)
     limit_slip(state.mean)
     limit_biases(state.mean, noise)
     velocity_answer(state, out)
+    return innovation_vx, innovation_vy
+
+
+@inlined
+def telling_kinematic_step(state, sample, car, noise, dt, out):
+    """One sample of the kinematic filter; `out` ``(5,)`` gets the innovations too, as in `KinematicKF.extras`."""
+    out[NIS + 1], out[NIS + 2] = kinematic_step(state, sample, car, noise, dt, out)
 
 
 @kernel
 def kinematic_run(state, samples, car, noise, dt, out):
     """All samples of the kinematic filter."""
     for k in range(samples.shape[0]):
-        kinematic_step(state, samples[k], car, noise, dt, out[k])
+        telling_kinematic_step(state, samples[k], car, noise, dt, out[k])
 
 
 @dataclass(frozen=True)
@@ -343,8 +360,9 @@ class KinematicKF(KernelFilter):
 
     noise: KinematicNoise = KinematicNoise()
 
+    extras = ("innovation_vx [m/s]", "innovation_vy [m/s]")
     told_by_likelihood = ("accel", "speed", "accel_bias")
-    step_kernel = staticmethod(kinematic_step)
+    step_kernel = staticmethod(telling_kinematic_step)
     run_kernel = staticmethod(kinematic_run)
 
     def make_state(self) -> Gaussian:

@@ -107,7 +107,7 @@ def zero_yaw_step(state, sample, car, noise, dt, out):
     if kinematic_start(state, sample, car, noise, dt, out):
         return
     kinematic_predict(state, sample[AX], sample[AY], sample[YAW_RATE], 1.0, 0.0, noise, dt)
-    nis = kinematic_update(state, sample, noise)
+    nis, _ = kinematic_update(state, sample, noise)
     share = straight_share(sample[YAW_RATE], noise.turning)
     if share > 0.0 and math.isfinite(sample[AY]):
         # Its error lasts, so it counts as one measurement per second, spread over the samples.
@@ -164,7 +164,7 @@ def blend_step(state, sample, car, noise, dt, out):
         blend_predict(state, sample, share, car, noise, dt)
     else:
         kinematic_predict(state, sample[AX], sample[AY], sample[YAW_RATE], 1.0, 0.0, noise, dt)
-    out[NIS] = kinematic_update(state, sample, noise)
+    out[NIS], _ = kinematic_update(state, sample, noise)
     blind_update(state, sample[YAW_RATE], dt)
     limit_slip(state.mean)
     limit_biases(state.mean, noise)

@@ -137,7 +137,7 @@ def tyre_update(state, sample, car, noise):
     if n == 0:
         return math.nan, 0.0
     prior = cov[0, 0] * cov[1, 1] - cov[0, 1] * cov[0, 1]
-    nis = dynamic_update(state, sample, car, noise)
+    nis, _, _ = dynamic_update(state, sample, car, noise)
     posterior = cov[0, 0] * cov[1, 1] - cov[0, 1] * cov[0, 1]
     return nis, -0.5 * (nis + noises + math.log(prior / posterior) + n * LOG_2_PI)
 

@@ -175,6 +175,7 @@ def test_every_selector_works_in_pieces(artefacts, banks, name, size):
                 run.beta[cut],
                 run.beta_std[cut],
                 run.nis[cut],
+                [innovations[cut] for innovations in run.innovations],
                 run.features[cut],
             )
         )

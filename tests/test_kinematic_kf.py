@@ -214,7 +214,7 @@ def test_no_nonsense_makes_it_diverge(seed: int) -> None:
 def test_the_covariance_stays_symmetric_and_positive_over_an_hour() -> None:
     started, samples = KF.start(DT), winding_road(60.0)[0].samples
     for _ in range(60):
-        KF.run_kernel(started.state, samples, KF.car, KF.noise, DT, np.empty((len(samples), 3)))
+        KF.advance(started, samples)
         cov = started.state.cov
         np.testing.assert_array_equal(cov, cov.T)
         assert np.linalg.eigvalsh(cov).min() > 0.0
