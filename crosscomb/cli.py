@@ -267,7 +267,7 @@ def estimate(
     extras: Annotated[
         bool,
         typer.Option(
-            "--extras", help="Also write what estimators tell beside beta: forces, tyre parameters, shares."
+            "--extras", help="Also write what estimators tell beside beta: innovations, forces, shares."
         ),
     ] = False,
 ) -> None:

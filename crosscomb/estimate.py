@@ -153,7 +153,7 @@ def extra_outputs(
     filters: Sequence[str] | None = None,
     tuned: Tuned | None = None,
 ) -> pd.DataFrame:
-    """What the estimators tell beside beta: forces, yaw moment, friction in use, tyre parameters, shares.
+    """What the estimators tell beside beta: innovations, forces, yaw moment, friction in use, tyre parameters, shares.
 
     Parameters
     ----------

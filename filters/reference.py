@@ -109,18 +109,22 @@ def reference_kinematic_kf(estimator: KinematicKF, inputs: Inputs) -> Estimate:
     noise, car, dt = estimator.noise, estimator.car, inputs.dt
     kf = BiasedKalman(noise, dt)
 
-    def step(sample: np.ndarray) -> tuple[float, float, float]:
+    def step(sample: np.ndarray) -> tuple[float, ...]:
+        innovations = [math.nan, math.nan]
         kf.move(sample)
         nis = kf.measure_speed(sample)
+        if math.isfinite(nis):
+            innovations[0] = kf.y.item()
         kf.limit_slip()
         h, rest, variance = rolling_measurement(sample, kf.x[0, 0], kf.x[3, 0], car, noise, dt)
         if math.isfinite(variance):
             kf.measure([h, 1.0], rest, variance)
+            innovations[1] = kf.y.item()
         kf.limit_slip()
         kf.limit_biases()
-        return *slip_of(kf), nis
+        return *slip_of(kf), nis, *innovations
 
-    return _walk(inputs, car, kf.begin, step, kf.rest)
+    return _walk(inputs, car, kf.begin, step, kf.rest, estimator.extras)
 
 
 class _SingleTrackEKF(ExtendedKalmanFilter):
@@ -161,7 +165,7 @@ def reference_dynamic_ekf(estimator: DynamicEKF, inputs: Inputs) -> Estimate:
         ekf.x = np.array([np.nan_to_num(sample[base.YAW_RATE]), beta])
         ekf.P = np.diag([noise.yaw_rate**2, beta_std**2])
 
-    def step(sample: np.ndarray) -> tuple[float, float, float]:
+    def step(sample: np.ndarray) -> tuple[float, ...]:
         steps = stable_substeps(sample[base.VX], inputs.dt, car)
         h = inputs.dt / steps
         wrong_force = noise.missing_steer * sample[base.STEER_HELD] * car.stiffness_front
@@ -175,18 +179,19 @@ def reference_dynamic_ekf(estimator: DynamicEKF, inputs: Inputs) -> Estimate:
             ekf.predict(ekf.x + h * rates)
             hold_beta()
         z = sample[[base.YAW_RATE, base.AY]]
-        there = np.isfinite(z)
+        there, innovations = np.isfinite(z), np.full(2, np.nan)
         if not there.any():
-            return ekf.x[1], math.sqrt(ekf.P[1, 1]), math.nan
+            return ekf.x[1], math.sqrt(ekf.P[1, 1]), math.nan, *innovations
         _, expected_ay, jacobian = model(sample)
         expected = np.array([ekf.x[0], expected_ay])[there]
         h_matrix = np.array([[1.0, 0.0], jacobian[3]])[there]
         variance = np.diag([noise.yaw_rate**2, noise.ay**2 + (wrong_force / car.mass) ** 2])[there][:, there]
         ekf.update(z[there], lambda _: h_matrix, lambda _: expected, R=variance)
+        innovations[there] = ekf.y
         hold_beta()
-        return ekf.x[1], math.sqrt(ekf.P[1, 1]), _nis(ekf)
+        return ekf.x[1], math.sqrt(ekf.P[1, 1]), _nis(ekf), *innovations
 
-    return _walk(inputs, car, start, step)
+    return _walk(inputs, car, start, step, extras=estimator.extras)
 
 
 def reference_random_walk_pf(estimator: RandomWalkPF, inputs: Inputs) -> Estimate:
@@ -251,14 +256,15 @@ def _walk(
     inputs: Inputs,
     car: SingleTrack,
     start: Callable[[np.ndarray, float, float], None],
-    step: Callable[[np.ndarray], tuple[float, float, float]],
+    step: Callable[[np.ndarray], tuple[float, ...]],
     rest: Callable[[], None] = lambda: None,
+    extras: tuple[str, ...] = (),
 ) -> Estimate:
     """Give the rolling answer until a sample above the gate starts the filter, then the filter's own.
 
-    `rest` is called at each sample that gets the rolling answer.
+    `rest` is called at each sample that gets the rolling answer; `extras` names what a step gives behind the NIS.
     """
-    out = np.empty((len(inputs.samples), 3))
+    out = np.full((len(inputs.samples), 3 + len(extras)), np.nan)
     running = False
     for sample, answer in zip(inputs.samples, out, strict=True):
         if running and not base.below_gate(sample):
@@ -269,7 +275,8 @@ def _walk(
         running = not base.below_gate(sample)
         if running:
             start(sample, answer[base.BETA], answer[base.BETA_STD])
-    return Estimate(beta=out[:, base.BETA], beta_std=out[:, base.BETA_STD], nis=out[:, base.NIS])
+    beta, beta_std, nis, *extra = out.T
+    return Estimate(beta, beta_std, nis, dict(zip(extras, extra, strict=True)))
 
 
 def _nis(kf: KalmanFilter | ExtendedKalmanFilter) -> float:

@@ -161,6 +161,14 @@ def test_kalman_kernels_agree_with_filterpy(name: str, inputs_of: str) -> None:
     np.testing.assert_allclose(estimate.beta, expected.beta, rtol=0.0, atol=1e-9)
     np.testing.assert_allclose(estimate.beta_std, expected.beta_std, rtol=0.0, atol=1e-9)
     np.testing.assert_allclose(estimate.nis, expected.nis, rtol=1e-9, atol=1e-9)
+    assert len(estimator.innovations()) == 2
+    for innovation in estimator.innovations():
+        found = estimate.extra[innovation]
+        np.testing.assert_allclose(
+            found, expected.extra[innovation], rtol=1e-9, atol=1e-9, err_msg=innovation
+        )
+        assert np.isfinite(found).any()
+        assert np.isnan(found[0]), "the first sample starts the filter"
     assert np.isfinite(estimate.nis).mean() > 0.5
     assert np.ptp(estimate.beta) > np.radians(1.0), "a filter that stays where it is proves nothing"
 

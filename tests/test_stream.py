@@ -163,6 +163,16 @@ def test_other_filters_run_live_too(artefact, log):
         assert_same(pd.concat([part.table() for part in parts], ignore_index=True), whole.table())
 
 
+def test_a_correction_live_sees_what_it_sees_in_the_whole_log_whoever_runs_beside_its_filters(log):
+    hybrid = load_artefact("hybrid")
+    alone = estimate_log(log, CAR, hybrid)
+    names = ["luenberger", "random_walk_pf", "lint_ekf", "dynamic_ekf", "kinematic_kf"]
+    for filters in (None, names):
+        parts = in_chunks(StreamingEstimator(CAR, hybrid, filters), log, [1, 7, 350])
+        np.testing.assert_array_equal(np.concatenate([part.beta for part in parts]), alone.beta)
+        np.testing.assert_array_equal(np.concatenate([part.beta_std for part in parts]), alone.beta_std)
+
+
 def test_after_a_reset_nothing_is_remembered(artefact, log):
     live = StreamingEstimator(CAR, artefact)
     first = live.take(log)
