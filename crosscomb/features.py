@@ -301,6 +301,8 @@ def all_features(
     (n, features) float32
     """
     out = np.empty((len(samples), memory.means.size), dtype=np.float32)
-    columns = (np.ascontiguousarray(each) for each in (beta, beta_std, nis, np.hstack(innovations)))
-    _features_run(memory, samples, *columns, feature_car(vehicle), memory_gains(dt), out)
+    _features_run(
+        memory, samples, np.ascontiguousarray(beta), np.ascontiguousarray(beta_std), np.ascontiguousarray(nis),
+        np.ascontiguousarray(np.hstack(innovations)), feature_car(vehicle), memory_gains(dt), out,
+    )  # fmt: skip
     return out

@@ -278,7 +278,7 @@ def rolling_measurement(sample, vx, bias_ay, car, noise, dt):
 def rolling_update(state, sample, car, noise, dt):
     """Update with a rear axle that moves along its wheels, as far as the car is driven gently.
 
-    Gives the innovation [m/s], NaN where the car may slide.
+    Gives the innovation [m/s], NaN where the car may slide; that of vy = 0 while the yaw rate is missing.
     """
     mean = state.mean
     h, rest, variance = rolling_measurement(sample, mean[0], mean[BIAS_AY], car, noise, dt)
