@@ -116,7 +116,7 @@ def select(
     if artefact.correction is not None and selection.correction is not None:
         anchor = artefact.filter_names.index(artefact.correction.anchor)
         answer, std, weight = correct(
-            artefact.correction, selection.correction, features, beta[:, anchor], answer, std, dt
+            artefact.correction, selection.correction, features, anchor, beta, answer, std, dt
         )
         outside = weight < 0.5
     return Answer(answer, std, active, outside, decision)

@@ -7,7 +7,6 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from crosscomb.choice import Choice
@@ -19,6 +18,7 @@ from crosscomb.filters.catalogue import CATALOGUE, make_filter
 from crosscomb.models.vehicle import Vehicle, describe, load_vehicle
 from crosscomb.selector import Tree
 from crosscomb.switch import SwitchSettings
+from crosscomb.trust import Trust
 from crosscomb.windows import WindowSettings
 
 SCHEMA_VERSION = 4
@@ -34,31 +34,6 @@ class FilterSettings(BaseModel):
 
     name: str
     settings: dict[str, Any] = {}
-
-
-class Trust(BaseModel):
-    """How doubt is calibrated, so that beta +- 1.96 beta_std holds the truth in 95 % of the samples.
-
-    Attributes
-    ----------
-    disagreement : float
-        Share of the spread of the filters' beta that counts as standard deviation.
-    floor : float
-        Least standard deviation before scaling [rad].
-    scale : float
-        Found on recordings left out of the fit.
-    """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-    disagreement: float = Field(default=0.0, ge=0.0)
-    floor: float = Field(default=0.0, ge=0.0)
-    scale: float = Field(default=1.0, gt=0.0)
-
-    def widen(self, beta_std: np.ndarray, beta: np.ndarray) -> np.ndarray:
-        """Calibrated standard deviation ``(n,) [rad]`` of an answer with what the filters say ``(n, filters)``."""
-        spread = np.nan_to_num(beta.max(axis=1) - beta.min(axis=1))
-        return self.scale * np.sqrt(beta_std**2 + (self.disagreement * spread) ** 2 + self.floor**2)
 
 
 class Artefact(BaseModel):

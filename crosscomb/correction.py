@@ -1,7 +1,7 @@
 """A learned correction on top of the filters: bounded, and faded out outside the training data.
 
 Learning can correct what no filter has right, but must not be trusted where nothing was learned: there the answer
-fades to that of the switch. The correction is exactly odd: a mirrored drive gets the mirrored answer.
+fades to that of the blend or switch. The correction is exactly odd: a mirrored drive gets the mirrored answer.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from crosscomb.boosted import Finite
 from crosscomb.network import Network, Scratch, Weights, make_scratch, network_at
+from crosscomb.trust import Trust
 
 FADE = 0.25
 """Beyond the training range by this share of it, nothing is left of the correction."""
@@ -35,7 +36,11 @@ class Correction(BaseModel):
     network : Network
         Truth less anchor [rad].
     doubt : Network
-        Logarithm of the standard deviation [rad] of what is left.
+        Logarithm of the standard deviation [rad] of what is left, before calibration.
+    trust : Trust
+        Calibrates it.
+    share : float
+        Share of the corrected filter where nothing is faded; the rest stays with the switch, whose errors differ.
     bound : float
         Largest correction [rad].
     lag : float
@@ -53,6 +58,8 @@ class Correction(BaseModel):
     anchor: str
     network: Network
     doubt: Network
+    trust: Trust = Trust()
+    share: float = Field(default=1.0, gt=0.0, le=1.0)
     bound: float = Field(gt=0.0, le=1.5)
     lag: float = Field(default=0.02, ge=0.0, le=1.0)
     fade: float = Field(default=0.2, ge=0.0, le=10.0)
@@ -149,7 +156,7 @@ def _predict(model, state, features, out):
 
 @njit(cache=True)
 def correction_at(model, state, features, gains, answer):
-    """Write correction [rad], its standard deviation [rad] and its weight of one sample to `answer` ``(3,)``.
+    """Write correction [rad], its raw standard deviation [rad] and its weight of one sample to `answer` ``(3,)``.
 
     Parameters
     ----------
@@ -174,14 +181,9 @@ def correction_at(model, state, features, gains, answer):
 
 
 @njit(cache=True)
-def _run(model, state, features, gains, anchor, beta, beta_std, weight):
-    answer = np.empty(3)
+def _run(model, state, features, gains, answers):
     for k in range(features.shape[0]):
-        correction_at(model, state, features[k], gains, answer)
-        share = answer[2]
-        beta[k] += share * (anchor[k] + answer[0] - beta[k])
-        beta_std[k] += share * (answer[1] - beta_std[k])
-        weight[k] = share
+        correction_at(model, state, features[k], gains, answers[k])
 
 
 def lag_gain(lag: float, dt: float) -> float:
@@ -193,7 +195,8 @@ def correct(
     correction: Correction,
     state: CorrectionState,
     features: np.ndarray,
-    anchor: np.ndarray,
+    anchor: int,
+    beta: np.ndarray,
     switched: np.ndarray,
     switched_std: np.ndarray,
     dt: float,
@@ -206,8 +209,9 @@ def correct(
     state : CorrectionState
         Changed in place.
     features : (n, f) float32
-    anchor : (n,) [rad]
-        beta of the filter that is corrected.
+    anchor : int
+        Index of the filter that is corrected.
+    beta : (n, filters) [rad]
     switched, switched_std : (n,) [rad]
         Answer of the switch.
     dt : float [s]
@@ -216,9 +220,15 @@ def correct(
     -------
     beta, beta_std : (n,) [rad]
     weight : (n,)
-        Share of the correction in the answer.
+        1 where nothing is faded, 0 where only the switch is left.
     """
-    beta, beta_std, weight = switched.copy(), switched_std.copy(), np.empty(len(switched))
+    answers = np.empty((len(switched), 3))
     gains = (lag_gain(correction.lag, dt), lag_gain(correction.fade, dt))
-    _run(correction.kernel, state, features, gains, np.ascontiguousarray(anchor), beta, beta_std, weight)
-    return beta, beta_std, weight
+    _run(correction.kernel, state, features, gains, answers)
+    missing, raw_std, weight = answers.T
+    beta_std = correction.trust.widen(raw_std, beta)
+    return (
+        switched + correction.share * weight * (beta[:, anchor] + missing - switched),
+        switched_std + weight * (beta_std - switched_std),
+        weight,
+    )

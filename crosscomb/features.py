@@ -82,7 +82,8 @@ class Layout(NamedTuple):
     odd : (f,) bool
         Features that change sign in a mirrored drive.
     plain : (f,) bool
-        Features of the drive, of the filters' beta and innovations; the others are what filters say of themselves.
+        Features of the drive and of the filters' beta. The others are what filters say of themselves: on real cars
+        they say it otherwise than in simulation, and a correction that has seen them there does not carry over.
     slip : (f,) bool
         Features that are sideslip angles.
     """
@@ -148,7 +149,6 @@ def layout(filters: list[str]) -> Layout:
     plain[channels.index(SPREAD)] = False
     first = len(channels) - len(innovations)
     odd[first:] = [INNOVATION_ODD[innovation] for _, innovation in innovations]
-    plain[first:] = True
     slip[ODD.index(STEADY_SLIP)] = True
     slip[BETAS : BETAS + len(filters)] = True
     names = (

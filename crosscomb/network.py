@@ -9,10 +9,12 @@ import numpy as np
 from numba import njit
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from crosscomb.boosted import Finite
+from crosscomb.boosted import Boosted, Finite, Grove, boosted_at
 
 FAR = np.float32(5.0)
 """An input counts as no further off its mean than this many standard deviations."""
+
+NO_TREES = Boosted(baseline=[0.0], roots=[], feature=[], threshold=[], left=[], right=[], value=[])
 
 
 class Member(BaseModel):
@@ -38,7 +40,9 @@ class Member(BaseModel):
 
 
 class Network(BaseModel):
-    """Mean of some networks that look at the same features.
+    """Mean of some networks that look at the same features, and of boosted trees beside them.
+
+    Networks follow smooth relations; trees never answer beyond what they were taught. Their errors differ.
 
     Attributes
     ----------
@@ -51,6 +55,8 @@ class Network(BaseModel):
     unit : float
         One of the networks' output in the unit of the answer.
     members : list of Member
+    trees : Boosted or None
+        On the scaled inputs; they count as much as all members together.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -61,6 +67,7 @@ class Network(BaseModel):
     scale: list[Finite]
     unit: float = Field(gt=0.0)
     members: list[Member] = Field(min_length=1)
+    trees: Boosted | None = None
 
     @model_validator(mode="after")
     def _sound(self) -> Network:
@@ -73,6 +80,8 @@ class Network(BaseModel):
             raise ValueError("the network takes off a feature that is none")
         if any(not scale > 0.0 for scale in self.scale):
             raise ValueError("a scale of the network is not positive")
+        if self.trees is not None and (len(self.trees.baseline) != 1 or self.trees.n_features > inputs):
+            raise ValueError("the trees beside the network do not fit its inputs")
         one = self.members[0]
         for member in self.members:
             _require_shape("first", member.first, inputs, len(one.first_bias))
@@ -101,6 +110,7 @@ class Network(BaseModel):
             np.array(1.0 / np.array(self.scale), np.float32),
             self.unit,
             *map(stack, ("first", "first_bias", "second", "second_bias", "output", "output_bias")),
+            (self.trees or NO_TREES).grove,
         )
 
     def predict(self, features: np.ndarray) -> np.ndarray:
@@ -116,7 +126,7 @@ def _require_shape(name: str, weights: list[list[float]], rows: int, columns: in
 
 
 class Weights(NamedTuple):
-    """The arrays of a network as kernels take them; the leading axis counts the members."""
+    """The arrays of networks and trees as kernels take them; the leading axis counts the members."""
 
     columns: np.ndarray  # (inputs,)
     relative: np.ndarray  # (inputs,)
@@ -129,6 +139,7 @@ class Weights(NamedTuple):
     second_bias: np.ndarray  # (members, h2) float32
     output: np.ndarray  # (members, h2) float32
     output_bias: np.ndarray  # (members,) float32
+    trees: Grove
 
 
 class Scratch(NamedTuple):
@@ -137,12 +148,13 @@ class Scratch(NamedTuple):
     inputs: np.ndarray  # (inputs,) float32
     first: np.ndarray  # (h1,) float32
     second: np.ndarray  # (h2,) float32
+    trees: np.ndarray  # (1,)
 
 
 def make_scratch(weights: Weights) -> Scratch:
     """Make room for one evaluation at a time."""
     sizes = (weights.columns.size, weights.first_bias.shape[1], weights.second_bias.shape[1])
-    return Scratch(*(np.empty(size, np.float32) for size in sizes))
+    return Scratch(*(np.empty(size, np.float32) for size in sizes), np.empty(1))
 
 
 @njit(cache=True)
@@ -175,7 +187,11 @@ def network_at(weights, scratch, features):
         total += weights.output_bias[m]
         for j in range(scratch.second.size):
             total += scratch.second[j] * weights.output[m, j]
-    return weights.unit * total / members
+    answer = total / members
+    if weights.trees.roots.size > 0:
+        boosted_at(weights.trees, inputs, scratch.trees)
+        answer = 0.5 * (answer + scratch.trees[0])
+    return weights.unit * answer
 
 
 @njit(cache=True)

@@ -12,7 +12,7 @@ from crosscomb.artefact import Artefact, load_artefact, save_artefact
 from crosscomb.estimate import estimate_log
 from crosscomb.stream import StreamingEstimator
 from crosscomb.training import compare as compare_module
-from crosscomb.training import fit_boosted, fit_correction
+from crosscomb.training import fit, fit_boosted, fit_correction
 from crosscomb.training.bank import BankRun, run_bank
 from crosscomb.training.compare import (
     Comparison,
@@ -36,6 +36,8 @@ def small_trees():
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(fit_boosted, "ITERATIONS", 8)
         patch.setattr(fit_correction, "STEPS", 40)
+        patch.setattr(fit, "FULL", fit_correction.Size(2, (16, 8), 8))
+        patch.setattr(fit, "FEW", fit_correction.Size(1, (16, 8), 8))
         yield
 
 

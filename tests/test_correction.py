@@ -8,14 +8,17 @@ from sklearn.neural_network import MLPRegressor
 from crosscomb.correction import FADE, Correction, correct, inside_weight, make_correction_state
 from crosscomb.features import MEMORIES, layout
 from crosscomb.network import FAR, Network
+from crosscomb.training.fit_boosted import fit_trees, to_boosted
 from crosscomb.training.fit_correction import (
     Part,
-    conformal_scale,
+    Size,
     constant_doubt,
     fit_doubt,
     fit_network,
     to_member,
 )
+from crosscomb.training.fit_trust import conformal_scale
+from crosscomb.trust import Trust
 
 FILTERS = ["kinematic_kf", "dynamic_ekf"]
 PLACES = layout(FILTERS)
@@ -75,6 +78,26 @@ def test_members_answer_in_the_mean(fitted):
     assert two.predict(rows) == pytest.approx(network_of(fitted, 2).predict(rows) + 50.0, rel=1e-5)
 
 
+def test_trees_beside_count_as_much_as_all_members(fitted):
+    """They look at the scaled inputs; scikit-learn says what they answer."""
+    rng = np.random.default_rng(2)
+    rows = rng.uniform(-2.0, 2.0, (3000, 2)).astype(np.float32)
+    trees = fit_trees(rows, rows[:, 1] ** 2, 0, 20)
+    scaled = {"scale": [2.0, 0.5], "unit": 3.0}
+    wide = rows * np.float32([2.0, 0.5])
+    plain = network_of(fitted, 2, **scaled).predict(wide)
+    both = network_of(fitted, 2, **scaled, trees=to_boosted([trees])).predict(wide)
+    np.testing.assert_allclose(both, 0.5 * (plain + 3.0 * trees.predict(rows)), rtol=1e-4, atol=1e-4)
+
+
+def test_trees_that_do_not_fit_the_inputs_are_refused(fitted):
+    rows = np.random.default_rng(2).uniform(-2.0, 2.0, (500, 3)).astype(np.float32)
+    trees = fit_trees(rows, rows.sum(axis=1), 0, 5)
+    for wrong in ([trees], [trees, trees]):
+        with pytest.raises(ValidationError):
+            network_of(fitted, 2, trees=to_boosted(wrong))
+
+
 @pytest.mark.parametrize(
     "changes",
     [
@@ -128,14 +151,29 @@ def corrected(correction: Correction, features: np.ndarray, switched: float = 0.
     """Answers to one drive whose corrected filter says 0.1 rad and whose switch says something else."""
     n = len(features)
     state = make_correction_state(correction)
-    anchor, answer = np.full(n, 0.1), np.full(n, switched)
-    return correct(correction, state, features, anchor, answer, np.full(n, 0.2), 0.01)[0]
+    beta, answer = np.full((n, 1), 0.1), np.full(n, switched)
+    return correct(correction, state, features, 0, beta, answer, np.full(n, 0.2), 0.01)[0]
 
 
 def test_inside_the_training_the_filter_is_corrected(correction):
     rows = np.array([[0.4, 1.0], [-0.4, 1.0], [0.4, -1.0]], dtype=np.float32)
     expected = 0.1 + 0.05 * np.tanh([0.4, -0.4, 0.0])
     np.testing.assert_allclose(corrected(correction, rows), expected, atol=0.006)
+
+
+def test_a_share_of_the_switch_stays_and_the_doubt_is_calibrated(correction):
+    trust = Trust(disagreement=0.5, floor=0.0, scale=2.0)
+    mixed = correction.model_copy(update={"share": 0.75, "trust": trust})
+    rows = np.array([[0.4, 1.0], [-0.4, 1.0]], dtype=np.float32)
+    beta, switched = np.array([[0.1, 0.16], [0.1, 0.02]]), np.array([0.5, 0.3])
+    whole, mix = (
+        correct(one, make_correction_state(one), rows, 0, beta, switched, np.full(2, 0.2), 0.01)
+        for one in (correction, mixed)
+    )
+    np.testing.assert_allclose(mix[0], 0.75 * whole[0] + 0.25 * switched)
+    np.testing.assert_allclose(whole[1], 0.01)
+    np.testing.assert_allclose(mix[1], 2.0 * np.hypot(0.01, 0.5 * np.array([0.06, 0.08])))
+    assert mix[2].tolist() == [1.0, 1.0]
 
 
 def test_a_mirrored_drive_gets_the_mirrored_answer(correction):
@@ -183,7 +221,8 @@ def test_pieces_make_the_same_answers(correction):
     for start in range(0, 200, 7):
         cut = rows[start : start + 7]
         n = len(cut)
-        parts.append(correct(smooth, state, cut, np.full(n, 0.1), np.full(n, 0.5), np.full(n, 0.2), 0.01)[0])
+        beta, answer = np.full((n, 1), 0.1), np.full(n, 0.5)
+        parts.append(correct(smooth, state, cut, 0, beta, answer, np.full(n, 0.2), 0.01)[0])
     np.testing.assert_array_equal(whole, np.concatenate(parts))
 
 
@@ -205,9 +244,10 @@ def test_the_doubt_follows_the_errors():
     told = PLACES.names.index("vx [m/s]")
     size = np.where(features[:, told] > 0.0, 0.05, 0.005)
     error = size * rng.standard_normal(8000)
-    parts = [Part(features[i : i + 2000], error[i : i + 2000], np.ones(2000)) for i in (0, 2000, 4000)]
-    doubt = fit_doubt(parts, FILTERS, 1, 0)
-    foretold = np.exp(doubt.predict(features[6000:]))
+    beta, cuts = np.zeros((8000, 2)), [slice(i, i + 2000) for i in (0, 2000, 4000)]
+    parts = [Part(features[cut], error[cut], beta[cut], np.ones(2000)) for cut in cuts]
+    doubt, trust = fit_doubt(parts, FILTERS, 1, 0)
+    foretold = trust.widen(np.exp(doubt.predict(features[6000:])), beta[6000:])
     wide = features[6000:, told] > 0.0
     assert 4.0 < np.median(foretold[wide]) / np.median(foretold[~wide]) < 25.0
     covered = np.mean(np.abs(error[6000:]) <= 1.96 * foretold)
@@ -236,6 +276,6 @@ def test_a_fit_finds_what_is_there_and_no_side():
     features[:, ekf] += np.float32(10.0)  # a common offset says nothing
     features[:, kf] += np.float32(10.0)
     target = 0.5 * (features[:, kf] - features[:, ekf]) / 0.01
-    network = fit_network(features, target, np.ones(6000), FILTERS, 1, 1, (16, 8), 0)
+    network = fit_network(features, target, np.ones(6000), FILTERS, 1, Size(1, (16, 8)), 0)
     error = network.predict(features) - target
     assert np.sqrt(np.mean(error**2)) < 0.2 * target.std()

@@ -72,9 +72,9 @@ def test_what_is_odd_what_networks_see_and_what_is_a_sideslip_angle():
     }
     assert all(len(flags) == len(places.names) for flags in (places.odd, places.plain, places.slip))
     for name in ("{}", "mean({}, 1.5 s)"):
-        assert seen[name.format("innovation_vx kinematic_kf [m/s]")] == (False, True, False)
+        assert seen[name.format("innovation_vx kinematic_kf [m/s]")] == (False, False, False)
         for odd in list(TOLD)[1:]:
-            assert seen[name.format(odd)] == (True, True, False)
+            assert seen[name.format(odd)] == (True, False, False)
         assert seen[name.format("beta dynamic_ekf [rad]")] == (True, True, True)
         assert seen[name.format("NIS dynamic_ekf")] == (False, False, False)
         assert seen[name.format("beta_std dynamic_ekf [rad]")] == (False, False, False)

@@ -7,17 +7,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from crosscomb.artefact import Artefact, FilterSettings, Trust
+from crosscomb.artefact import Artefact, FilterSettings
 from crosscomb.choice import Choice
 from crosscomb.correction import Correction
+from crosscomb.features import layout
 from crosscomb.models.vehicle import Vehicle
 from crosscomb.switch import SwitchSettings
 from crosscomb.training.bank import BankRun
 from crosscomb.training.fit_boosted import fit_choice, fit_temperature
 from crosscomb.training.fit_correction import (
-    FEW_MEMBERS,
-    MEMBERS,
-    conformal_scale,
+    FEW,
+    FULL,
+    Size,
     fit_correction,
     fit_doubt,
     left_over,
@@ -30,12 +31,17 @@ from crosscomb.training.fit_tree import (
     to_tree,
     without_idle_questions,
 )
+from crosscomb.training.fit_trust import fit_trust
 from crosscomb.training.folds import grouped_folds
 from crosscomb.training.labels import Windows, concatenate
 from crosscomb.training.metrics import score
+from crosscomb.trust import Trust
 from crosscomb.windows import WindowSettings
 
 SHAPES = (TreeShape(4, 0.01), TreeShape(6, 0.005), TreeShape(8, 0.003))
+
+ANY = SHAPES[1:2]
+"""Where boosted trees choose, the tree only knows the range of its features."""
 
 
 @dataclass(frozen=True)
@@ -55,7 +61,7 @@ class SelectorKind:
     choice : {"", "hard", "soft"}
         Boosted trees on all features that switch, or blend by probability.
     corrected : bool
-        A learned correction on top.
+        A learned correction on top; nothing then looks at what filters say of themselves.
     """
 
     summary: str
@@ -88,14 +94,14 @@ SELECTORS: dict[str, SelectorKind] = {
         "the same tree on all signals, innovations and the filters' disagreement", STATISTICS, all_signals=True
     ),
     "boosted": SelectorKind(
-        "boosted trees on all signals that foretell the error of each filter", STATISTICS, choice="hard"
+        "boosted trees on all signals that foretell the error of each filter", STATISTICS, shapes=ANY, choice="hard"
     ),
     "soft": SelectorKind(
-        "the same, blending the filters by calibrated probabilities", STATISTICS, choice="soft"
+        "the same, blending the filters by calibrated probabilities", STATISTICS, shapes=ANY, choice="soft"
     ),
     "hybrid": SelectorKind(
-        "learned correction of the best filter, fading to the tree outside the training data", STATISTICS,
-        corrected=True,
+        "learned correction of the best filter, fading to a blend outside the training data", STATISTICS,
+        shapes=ANY, choice="soft", corrected=True,
     ),
 }  # fmt: skip
 
@@ -104,12 +110,6 @@ MOST_BALANCE = 8.0
 
 INNER_FOLDS = 3
 """Folds inside the recordings of one fit, for the shape of the tree and for the trust."""
-
-DISAGREEMENTS = (0.0, 0.25, 0.5, 1.0)
-"""Shares of the filters' disagreement to choose the doubt from."""
-
-FLOOR = np.radians(0.1)
-"""No estimate is called better than this before calibration [rad]."""
 
 THINNING = 10
 """Every so many samples count in the calibration: neighbours say the same."""
@@ -195,7 +195,9 @@ class Fitter:
             artefact = artefact.model_copy(update={"choice": choice})
         artefact = artefact.model_copy(update={"trust": self._trust(left_out)})
         if self.kind.corrected:
-            artefact = artefact.model_copy(update={"correction": self._correction(members, inner)})
+            choices = [one.choice for _, one in left_out if one.choice is not None]
+            correction = self._correction(members, inner, choices)
+            artefact = artefact.model_copy(update={"correction": correction})
         return artefact, shape
 
     def _plain(self, members: Sequence[int], shape: TreeShape) -> Artefact:
@@ -229,7 +231,8 @@ class Fitter:
         return score(beta, bank.beta_ref, bank.counted).rmse
 
     def _choice(self, members: Sequence[int]) -> Choice:
-        return fit_choice(self.together(members), self.names, self.kind.choice == "soft", self.seed)
+        seen = layout(self.names).plain if self.kind.corrected else None
+        return fit_choice(self.together(members), self.names, self.kind.choice == "soft", self.seed, seen)
 
     def _trust(self, left_out: Sequence[tuple[list[int], Artefact]]) -> Trust:
         """Calibrate beta_std on recordings that their artefact was not fitted on (split conformal)."""
@@ -251,40 +254,22 @@ class Fitter:
         rmse = np.concatenate([self.windows[i].rmse[:, anchor] for i in members])
         return recording_weights(rmse, owner) * self.balance(members)[owner]
 
-    def _correction(self, members: Sequence[int], inner: Sequence[tuple[list[int], list[int]]]) -> Correction:
+    def _correction(
+        self,
+        members: Sequence[int],
+        inner: Sequence[tuple[list[int], list[int]]],
+        choices: Sequence[Choice],
+    ) -> Correction:
         """Fit the correction on all members and its doubt on what parts of them left out."""
         anchor = self.safe(members)
 
-        def fit_on(some: Sequence[int], networks: int) -> Correction:
+        def fit_on(some: Sequence[int], size: Size) -> Correction:
             weight = self._weight(some, anchor)
-            return fit_correction(self.together(some), weight, self.names, anchor, self.seed, networks)
+            return fit_correction(self.together(some), weight, self.names, anchor, self.seed, size)
 
         parts = [
-            left_over(fit_on(fit, FEW_MEMBERS), self.together(test), self._weight(test, anchor), self.names)
-            for fit, test in inner
+            left_over(fit_on(fit, FEW), choice, self.together(test), self._weight(test, anchor), self.names)
+            for (fit, test), choice in zip(inner, choices, strict=True)
         ]
-        doubt = fit_doubt(parts, self.names, anchor, self.seed)
-        return fit_on(members, MEMBERS).model_copy(update={"doubt": doubt})
-
-
-def fit_trust(error: np.ndarray, beta_std: np.ndarray, beta: np.ndarray) -> Trust:
-    """Find the doubt that covers 95 % of the errors with the narrowest bands.
-
-    Parameters
-    ----------
-    error, beta_std : (n,) [rad]
-        Of samples the estimate was not fitted on.
-    beta : (n, filters) [rad]
-        What the filters said there.
-    """
-    trusts = []
-    for disagreement in DISAGREEMENTS:
-        trust = Trust(disagreement=disagreement, floor=FLOOR)
-        scale = conformal_scale(error, trust.widen(beta_std, beta))
-        trusts.append(trust.model_copy(update={"scale": scale}))
-
-    def interval_score(trust: Trust) -> float:
-        half = 1.96 * trust.widen(beta_std, beta)
-        return float(np.mean(2.0 * half + 2.0 / 0.05 * np.maximum(np.abs(error) - half, 0.0)))
-
-    return min(trusts, key=interval_score)
+        doubt, trust = fit_doubt(parts, self.names, anchor, self.seed)
+        return fit_on(members, FULL).model_copy(update={"doubt": doubt, "trust": trust})

@@ -23,7 +23,7 @@ MOST_WINDOWS = 30_000
 
 
 def fit_trees(
-    features: np.ndarray, target: np.ndarray, seed: int, iterations: int
+    features: np.ndarray, target: np.ndarray, seed: int, iterations: int, weight: np.ndarray | None = None
 ) -> HistGradientBoostingRegressor:
     """Fit one sum of regression trees.
 
@@ -32,14 +32,14 @@ def fit_trees(
     features : (w, f) float32
     target : (w,)
     seed : int
-    iterations : int, optional
-        Else `ITERATIONS`.
+    iterations : int
+    weight : (w,), optional
     """
     model = HistGradientBoostingRegressor(
-        max_iter=iterations or ITERATIONS, max_leaf_nodes=LEAVES, learning_rate=LEARNING_RATE, l2_regularization=1.0,
+        max_iter=iterations, max_leaf_nodes=LEAVES, learning_rate=LEARNING_RATE, l2_regularization=1.0,
         min_samples_leaf=40, max_features=0.3, early_stopping=False, random_state=seed,
     )  # fmt: skip
-    return model.fit(features, target)
+    return model.fit(features, target, sample_weight=weight)
 
 
 def to_boosted(models: Sequence[HistGradientBoostingRegressor]) -> Boosted:
@@ -74,7 +74,9 @@ def with_mirrored(features: np.ndarray, signs: np.ndarray) -> np.ndarray:
     return np.concatenate([features, features * signs])
 
 
-def fit_choice(windows: Windows, filters: list[str], soft: bool, seed: int) -> Choice:
+def fit_choice(
+    windows: Windows, filters: list[str], soft: bool, seed: int, seen: np.ndarray | None = None
+) -> Choice:
     """Fit trees that foretell how much worse than the best one each filter is.
 
     Their outputs are the excess RMSE with its sign turned [deg], so that the temperature is in degrees too.
@@ -86,9 +88,13 @@ def fit_choice(windows: Windows, filters: list[str], soft: bool, seed: int) -> C
     filters : list of str
     soft : bool
     seed : int
+    seen : (f,) bool, optional
+        Features that the trees may look at; all where left out.
     """
     windows = windows.thinned(MOST_WINDOWS)
-    features = with_mirrored(windows.everything, mirror_signs(filters))
+    # No tree asks for what is the same everywhere.
+    everything = windows.everything if seen is None else windows.everything * seen
+    features = with_mirrored(everything, mirror_signs(filters))
     excess = np.degrees(windows.rmse - windows.rmse.min(axis=1, keepdims=True))
     models = [fit_trees(features, np.tile(-excess[:, i], 2), seed, ITERATIONS) for i in range(len(filters))]
     return Choice(trees=to_boosted(models), soft=soft)

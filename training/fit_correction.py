@@ -1,4 +1,4 @@
-"""Fit the networks that correct a filter, and the one that says how far off the corrected answer is."""
+"""Fit the networks and trees that correct a filter, and the one that says how far off the corrected answer is."""
 
 from __future__ import annotations
 
@@ -8,21 +8,40 @@ from typing import NamedTuple
 import numpy as np
 from sklearn.neural_network import MLPRegressor
 
-from crosscomb.correction import LEAST_DOUBT, Correction
+from crosscomb.choice import Choice
+from crosscomb.correction import LEAST_DOUBT, MOST_DOUBT, Correction
 from crosscomb.features import layout
 from crosscomb.network import FAR, Member, Network
-from crosscomb.training.fit_boosted import mirror_signs, with_mirrored
+from crosscomb.training.fit_boosted import fit_trees, mirror_signs, to_boosted, with_mirrored
+from crosscomb.training.fit_trust import fit_trust
 from crosscomb.training.labels import Windows, thinning
+from crosscomb.trust import Trust
 
-MEMBERS, HIDDEN = 3, (64, 32)
-"""Networks that correct together, and the neurons of their layers; on simulated logs more brought little."""
 
-FEW_MEMBERS = 2
-"""Networks in the fits that only show what is left over on other recordings."""
 
-DOUBT_HIDDEN = (32, 16)
+class Size(NamedTuple):
+    """Networks of an ensemble, the neurons of their layers, and rounds of boosting of the trees beside them."""
 
-MOST_WINDOWS = 150_000
+    members: int
+    hidden: tuple[int, int]
+    rounds: int = 0
+
+
+FULL = Size(6, (64, 32), 300)
+"""What corrects; on simulated logs more networks or rounds brought little."""
+
+FEW = Size(2, (64, 32), 300)
+"""The same in the fits that only show what is left over on other recordings."""
+
+DOUBT = Size(1, (32, 16))
+
+SHARE = 0.8
+"""Share of the corrected filter in the answer, the rest is the blend's.
+
+On simulated logs anything from 0.8 to 1 errs the same; the smaller, the less goes wrong on cars unlike those.
+"""
+
+MOST_WINDOWS = 200_000
 """So many windows train at most, evenly thinned: neighbours are near copies."""
 
 BATCH, EPOCHS, STEPS = 512, 30, 12_000
@@ -52,11 +71,13 @@ class Part(NamedTuple):
     features : (w, f) float32
     error : (w,) [rad]
         Truth less corrected answer.
+    beta : (w, filters) [rad]
     weight : (w,)
     """
 
     features: np.ndarray
     error: np.ndarray
+    beta: np.ndarray
     weight: np.ndarray
 
 
@@ -81,11 +102,10 @@ def fit_network(
     weight: np.ndarray,
     filters: list[str],
     anchor: int,
-    members: int,
-    hidden: tuple[int, int],
+    size: Size,
     seed: int,
 ) -> Network:
-    """Fit networks that differ only in their first weights.
+    """Fit networks that differ only in their first weights, and trees on the same inputs.
 
     They look at the drive and at what the filters say; sideslip angles count from the anchor's.
 
@@ -98,9 +118,7 @@ def fit_network(
     filters : list of str
     anchor : int
         Index of the filter that sideslip angles count from.
-    members : int
-    hidden : (int, int)
-        Neurons of the layers.
+    size : Size
     seed : int
     """
     places = layout(filters)
@@ -113,17 +131,18 @@ def fit_network(
     inputs = np.clip((seen - mean) / scale, -FAR, FAR).astype(np.float32)
     epochs = int(min(EPOCHS, max(3, STEPS * BATCH // len(inputs))))
     fitted = []
-    for member in range(members):
+    for member in range(size.members):
         regressor = MLPRegressor(
-            hidden_layer_sizes=hidden, alpha=1e-3, batch_size=min(BATCH, len(inputs)), learning_rate_init=2e-3,
+            hidden_layer_sizes=size.hidden, alpha=1e-3, batch_size=min(BATCH, len(inputs)), learning_rate_init=2e-3,
             random_state=seed + member,
             # No loss falls by as much as tol: the fit ends after just these epochs, and not in a warning.
             max_iter=epochs + 2, tol=1e9, n_iter_no_change=epochs - 2,
         )  # fmt: skip
         fitted.append(regressor.fit(inputs, target.astype(np.float32), sample_weight=weight))
+    trees = to_boosted([fit_trees(inputs, target, seed, size.rounds, weight)]) if size.rounds else None
     return Network(
         columns=columns.tolist(), relative=relative.tolist(), mean=_short(mean), scale=_short(scale), unit=1.0,
-        members=[to_member(one) for one in fitted],
+        members=[to_member(one) for one in fitted], trees=trees,
     )  # fmt: skip
 
 
@@ -146,7 +165,7 @@ def _short(values: np.ndarray) -> list[float]:
 
 
 def fit_correction(
-    windows: Windows, weight: np.ndarray, filters: list[str], anchor: int, seed: int, members: int = MEMBERS
+    windows: Windows, weight: np.ndarray, filters: list[str], anchor: int, seed: int, size: Size
 ) -> Correction:
     """Fit the networks that correct a filter; its doubt is yet to be learned from recordings left out.
 
@@ -160,8 +179,7 @@ def fit_correction(
     anchor : int
         Index of the filter that is corrected.
     seed : int
-    members : int
-        Networks that answer together.
+    size : Size
     """
     known = np.isfinite(windows.beta_ref)
     signs = mirror_signs(filters)
@@ -171,12 +189,13 @@ def fit_correction(
     network = fit_network(
         with_mirrored(windows.everything[known][every], signs),
         np.concatenate([missing[every], -missing[every]]) / UNIT,
-        np.tile(weight[known][every], 2), filters, anchor, members, HIDDEN, seed,
+        np.tile(weight[known][every], 2), filters, anchor, size, seed,
     )  # fmt: skip
     return Correction(
         anchor=filters[anchor],
         network=network.model_copy(update={"unit": float(UNIT)}),
         doubt=constant_doubt(float(LEAST_DOUBT)),
+        share=SHARE,
         bound=float(min(max(np.quantile(np.abs(missing), BOUND_QUANTILE), LEAST_ERROR), 1.5)),
         odd=(signs < 0.0).tolist(),
         lowest=everything.min(axis=0).astype(float).tolist(),
@@ -192,26 +211,33 @@ def constant_doubt(value: float) -> Network:
     return Network(columns=[0], relative=[-1], mean=[0.0], scale=[1.0], unit=1.0, members=[silent])
 
 
-def left_over(correction: Correction, windows: Windows, weight: np.ndarray, filters: list[str]) -> Part:
-    """What a correction leaves on windows of other recordings.
+def left_over(
+    correction: Correction, choice: Choice, windows: Windows, weight: np.ndarray, filters: list[str]
+) -> Part:
+    """What a correction and the blend beside it leave on windows of other recordings.
 
     Parameters
     ----------
     correction : Correction
+    choice : Choice
     windows : Windows
     weight : (w,)
     filters : list of str
     """
     known = np.isfinite(windows.beta_ref)
-    seen, anchor = windows.everything[known], filters.index(correction.anchor)
-    error = (windows.beta_ref - windows.beta[:, anchor])[known] - correction.predict(seen)
-    return Part(seen, error, weight[known])
+    seen, beta = windows.everything[known], windows.beta[known]
+    corrected = beta[:, filters.index(correction.anchor)] + correction.predict(seen)
+    blended = (choice.probabilities(seen) * beta).sum(axis=1)
+    answer = correction.share * corrected + (1.0 - correction.share) * blended
+    return Part(seen, windows.beta_ref[known] - answer, beta, weight[known])
 
 
-def fit_doubt(parts: Sequence[Part], filters: list[str], anchor: int, seed: int) -> Network:
-    """Fit the logarithm of the standard deviation on errors of recordings left out.
+def fit_doubt(
+    parts: Sequence[Part], filters: list[str], anchor: int, seed: int
+) -> tuple[Network, Trust]:
+    """Fit the logarithm of the standard deviation on errors of recordings left out, and its calibration.
 
-    Its scale is calibrated on each part by the network of the others: it knows the errors it was fitted on.
+    It is calibrated on each part with the network of the others: it knows the errors it was fitted on.
 
     Parameters
     ----------
@@ -222,38 +248,20 @@ def fit_doubt(parts: Sequence[Part], filters: list[str], anchor: int, seed: int)
     seed : int
     """
     signs = mirror_signs(filters)
-    ratios = []
+    foretold = []
     for i, part in enumerate(parts):
         others = _doubt(parts[:i] + parts[i + 1 :], filters, anchor, seed)  # type: ignore[operator]
-        foretold = 0.5 * (others.predict(part.features) + others.predict(part.features * signs))
-        ratios.append(part.error / np.exp(np.maximum(foretold, LEAST_DOUBT)))
-    every = np.concatenate(ratios)
-    scale = conformal_scale(every, np.ones(len(every)))
-    doubt = _doubt(parts, filters, anchor, seed)
-    members = [
-        member.model_copy(update={"output_bias": member.output_bias + float(np.log(scale))})
-        for member in doubt.members
-    ]
-    return doubt.model_copy(update={"members": members})
+        both = others.predict(part.features) + others.predict(part.features * signs)
+        foretold.append(np.exp(np.clip(0.5 * both, LEAST_DOUBT, MOST_DOUBT)))
+    error, beta = (np.concatenate([getattr(part, name) for part in parts]) for name in ("error", "beta"))
+    return _doubt(parts, filters, anchor, seed), fit_trust(error, np.concatenate(foretold), beta)
 
 
 def _doubt(parts: Sequence[Part], filters: list[str], anchor: int, seed: int) -> Network:
-    features, errors, weights = (np.concatenate(column) for column in zip(*parts, strict=True))
+    features, errors, _, weights = (np.concatenate(column) for column in zip(*parts, strict=True))
     step = thinning(len(errors), MOST_WINDOWS)
     size = np.log(np.maximum(np.abs(errors[::step]), LEAST_ERROR))
     seen = with_mirrored(features[::step], mirror_signs(filters))
     return fit_network(
-        seen, np.tile(size, 2), np.tile(weights[::step], 2), filters, anchor, 1, DOUBT_HIDDEN, seed
+        seen, np.tile(size, 2), np.tile(weights[::step], 2), filters, anchor, DOUBT, seed
     )
-
-
-def conformal_scale(error: np.ndarray, beta_std: np.ndarray) -> float:
-    """Factor on beta_std that makes +- 1.96 beta_std hold 95 % of the errors (split conformal).
-
-    Parameters
-    ----------
-    error, beta_std : (n,) [rad]
-        Of samples the estimate was not fitted on.
-    """
-    rank = min(1.0, 0.95 * (1.0 + 1.0 / len(error)))
-    return float(np.quantile(np.abs(error) / beta_std, rank) / 1.96)
