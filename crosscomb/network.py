@@ -1,4 +1,4 @@
-"""Small feed-forward networks that answer together, evaluated from their weights."""
+"""Small feed-forward networks and trees that answer together, evaluated from their weights."""
 
 from __future__ import annotations
 
@@ -104,13 +104,18 @@ class Network(BaseModel):
             return np.array([getattr(member, name) for member in self.members], np.float32)
 
         return Weights(
-            np.array(self.columns, np.int64),
-            np.array(self.relative, np.int64),
-            np.array(self.mean, np.float32),
-            np.array(1.0 / np.array(self.scale), np.float32),
-            self.unit,
-            *map(stack, ("first", "first_bias", "second", "second_bias", "output", "output_bias")),
-            (self.trees or NO_TREES).grove,
+            columns=np.array(self.columns, np.int64),
+            relative=np.array(self.relative, np.int64),
+            mean=np.array(self.mean, np.float32),
+            over_scale=np.array(1.0 / np.array(self.scale), np.float32),
+            unit=self.unit,
+            first=stack("first"),
+            first_bias=stack("first_bias"),
+            second=stack("second"),
+            second_bias=stack("second_bias"),
+            output=stack("output"),
+            output_bias=stack("output_bias"),
+            trees=(self.trees or NO_TREES).grove,
         )
 
     def predict(self, features: np.ndarray) -> np.ndarray:
@@ -153,8 +158,12 @@ class Scratch(NamedTuple):
 
 def make_scratch(weights: Weights) -> Scratch:
     """Make room for one evaluation at a time."""
-    sizes = (weights.columns.size, weights.first_bias.shape[1], weights.second_bias.shape[1])
-    return Scratch(*(np.empty(size, np.float32) for size in sizes), np.empty(1))
+    return Scratch(
+        inputs=np.empty(weights.columns.size, np.float32),
+        first=np.empty(weights.first_bias.shape[1], np.float32),
+        second=np.empty(weights.second_bias.shape[1], np.float32),
+        trees=np.empty(1),
+    )
 
 
 @njit(cache=True)

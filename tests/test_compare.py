@@ -37,7 +37,7 @@ def small_trees():
         patch.setattr(fit_boosted, "ITERATIONS", 8)
         patch.setattr(fit_correction, "STEPS", 40)
         patch.setattr(fit, "FULL", fit_correction.Size(2, (16, 8), 8))
-        patch.setattr(fit, "FEW", fit_correction.Size(1, (16, 8), 8))
+        patch.setattr(fit, "FEW", fit_correction.Size(1, (16, 8)))
         yield
 
 

@@ -15,11 +15,13 @@ from crosscomb.estimate import estimate_log
 from crosscomb.models.vehicle import Vehicle, load_vehicle
 from crosscomb.report import metrics_json
 from crosscomb.signals import Signals, make_signals
+from crosscomb.training import fit as fit_module
 from crosscomb.training import recordings as recordings_module
 from crosscomb.training import train as train_module
 from crosscomb.training.bank import BankRun, run_bank
 from crosscomb.training.evaluate import ORACLE, SWITCH, ZERO, confusion_of, evaluate
 from crosscomb.training.fit import SELECTORS
+from crosscomb.training.fit_correction import Size
 from crosscomb.training.folds import grouped_folds, split_recordings
 from crosscomb.training.labels import label_run, oracle_beta
 from crosscomb.training.metrics import countable, coverage, score, score_log
@@ -335,13 +337,15 @@ def test_one_class_only_is_refused_by_the_folder(recordings, banks, data_set):
         assert word in str(caught.value)
 
 
-def test_a_fold_with_one_class_is_no_obstacle(recordings, banks):
+def test_a_fold_with_one_class_is_no_obstacle(recordings, banks, monkeypatch):
     """One recording alone holds the second class: the folds without it have nothing to choose, and say so."""
     altered = []
     for index, (recording, bank) in enumerate(zip(recordings, banks, strict=True)):
         best = 0 if index == 3 else 1
         frame = recording.signals.frame.assign(beta_ref=bank.joined(lambda run: run.beta)[:, best])
         altered.append(replace(recording, signals=replace(recording.signals, frame=frame)))
+    for size in ("FULL", "FEW"):
+        monkeypatch.setattr(fit_module, size, Size(1, (8, 4)))
     for selector in ("tree", "paper", "hybrid"):
         trained = train(altered, selector)
         assert trained.artefact.tree.n_classes == 3

@@ -18,7 +18,6 @@ from crosscomb.training.labels import Windows, thinning
 from crosscomb.trust import Trust
 
 
-
 class Size(NamedTuple):
     """Networks of an ensemble, the neurons of their layers, and rounds of boosting of the trees beside them."""
 
@@ -232,9 +231,7 @@ def left_over(
     return Part(seen, windows.beta_ref[known] - answer, beta, weight[known])
 
 
-def fit_doubt(
-    parts: Sequence[Part], filters: list[str], anchor: int, seed: int
-) -> tuple[Network, Trust]:
+def fit_doubt(parts: Sequence[Part], filters: list[str], anchor: int, seed: int) -> tuple[Network, Trust]:
     """Fit the logarithm of the standard deviation on errors of recordings left out, and its calibration.
 
     It is calibrated on each part with the network of the others: it knows the errors it was fitted on.
@@ -262,6 +259,4 @@ def _doubt(parts: Sequence[Part], filters: list[str], anchor: int, seed: int) ->
     step = thinning(len(errors), MOST_WINDOWS)
     size = np.log(np.maximum(np.abs(errors[::step]), LEAST_ERROR))
     seen = with_mirrored(features[::step], mirror_signs(filters))
-    return fit_network(
-        seen, np.tile(size, 2), np.tile(weights[::step], 2), filters, anchor, DOUBT, seed
-    )
+    return fit_network(seen, np.tile(size, 2), np.tile(weights[::step], 2), filters, anchor, DOUBT, seed)
