@@ -13,13 +13,13 @@ import argparse
 from rich.console import Console
 from rich.table import Table
 
-from crosscomb.artefact import load_artefact
-from crosscomb.estimate import estimate_log
-from crosscomb.handling import STATES
 from crosscomb.models.vehicle import load_vehicle
-from crosscomb.training.handling_score import count_states, true_states
-from crosscomb.training.presets import plan_jobs
-from crosscomb.training.simulate import simulate_log
+from crosscomb.run.estimate import estimate_log
+from crosscomb.run.handling import STATES
+from crosscomb.selection.artefact import load_artefact
+from crosscomb.training.simulation.presets import plan_jobs
+from crosscomb.training.simulation.simulate import simulate_log
+from crosscomb.training.suites.handling import count_states, true_states
 
 VEHICLES = ("generic_compact", "sports_mid_engine", "golf_gti_2018")
 

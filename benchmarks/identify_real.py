@@ -14,17 +14,17 @@ from pathlib import Path
 
 import numpy as np
 
-from crosscomb.artefact import load_artefact
-from crosscomb.logs import read_log
+from crosscomb.logs.read import read_log
 from crosscomb.models.vehicle import load_vehicle
-from crosscomb.training.bank import run_one
-from crosscomb.training.identify import identify
-from crosscomb.training.identify_files import identified_recording
-from crosscomb.training.identify_sensors import still_biases
+from crosscomb.selection.artefact import load_artefact
+from crosscomb.training.identification.files import identified_recording
+from crosscomb.training.identification.identify import identify
+from crosscomb.training.identification.sensors import still_biases
 from crosscomb.training.recordings import Recording, find_logs, read_recordings
-from crosscomb.training.train import RATE, default_filters
-from crosscomb.training.tune import tune
-from crosscomb.training.tune_scores import ERROR, prepare, score_logs
+from crosscomb.training.selectors.bank import run_one
+from crosscomb.training.selectors.train import RATE, default_filters
+from crosscomb.training.tuning.scores import ERROR, prepare, score_logs
+from crosscomb.training.tuning.tune import tune
 
 REAL_SET = {
     "kth_volvo_s90": ("slalom_30kph", "stepsteer_left_100kph"),

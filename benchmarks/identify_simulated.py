@@ -18,14 +18,14 @@ import numpy as np
 from crosscomb.models.plant import make_plant
 from crosscomb.models.vehicle import Vehicle, load_vehicle
 from crosscomb.signals import Signals, make_signals
-from crosscomb.training.identify import identify
-from crosscomb.training.manoeuvres import MANOEUVRES
-from crosscomb.training.road import draw_road
-from crosscomb.training.scene import Scene
-from crosscomb.training.schedule import CONTROL_PERIOD
-from crosscomb.training.sensors import PERFECT, PRODUCTION, SensorFaults, draw_faults, measure
-from crosscomb.training.simulate import run_plan
-from crosscomb.training.spread import draw_driver
+from crosscomb.training.identification.identify import identify
+from crosscomb.training.simulation.manoeuvres import MANOEUVRES
+from crosscomb.training.simulation.road import draw_road
+from crosscomb.training.simulation.scene import Scene
+from crosscomb.training.simulation.schedule import CONTROL_PERIOD
+from crosscomb.training.simulation.sensors import PERFECT, PRODUCTION, SensorFaults, draw_faults, measure
+from crosscomb.training.simulation.simulate import run_plan
+from crosscomb.training.simulation.spread import draw_driver
 
 EXCITED = (
     ("frequency_sweep", 30.0), ("slalom", 30.0), ("ramp_steer", 30.0), ("constant_speed_circles", 30.0),

@@ -23,14 +23,14 @@ import numpy as np
 from joblib import Parallel, delayed
 from threadpoolctl import threadpool_limits
 
-from crosscomb.artefact import Artefact
-from crosscomb.training.bank import BankRun
-from crosscomb.training.benchmark import SHARED_SET
-from crosscomb.training.compare import summary_of
-from crosscomb.training.evaluate import Evaluation, evaluate, pool
-from crosscomb.training.fit import Fitter
+from crosscomb.selection.artefact import Artefact
 from crosscomb.training.recordings import Recording, read_recordings
-from crosscomb.training.train import default_filters, make_fitter
+from crosscomb.training.selectors.bank import BankRun
+from crosscomb.training.selectors.compare import summary_of
+from crosscomb.training.selectors.evaluate import Evaluation, evaluate, pool
+from crosscomb.training.selectors.fit import Fitter
+from crosscomb.training.selectors.train import default_filters, make_fitter
+from crosscomb.training.suites.benchmark import SHARED_SET
 
 CARS = ("volvo_s90", "volvo_v40", "golf_gti_2018", "ferrari_250lm")
 """Shipped vehicles of the shared real set."""

@@ -17,11 +17,11 @@ from pathlib import Path
 import numpy as np
 from selector_accuracy import beside_real, fitter_of, is_of_cars, read
 
-from crosscomb.training.benchmark import SHARED_SET
-from crosscomb.training.fit import SELECTORS, Fitter
-from crosscomb.training.fit_boosted import fit_trees
-from crosscomb.training.fit_correction import recording_weights
-from crosscomb.training.fit_tree import fit_tree
+from crosscomb.training.selectors.fit import SELECTORS, Fitter
+from crosscomb.training.selectors.fit_boosted import fit_trees
+from crosscomb.training.selectors.fit_correction import recording_weights
+from crosscomb.training.selectors.fit_tree import fit_tree
+from crosscomb.training.suites.benchmark import SHARED_SET
 
 ROWS = ("one tree", "boosted trees", "oracle")
 

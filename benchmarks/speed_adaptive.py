@@ -14,12 +14,12 @@ from speed_filters import KERNEL_STEPS, print_pairs, slalom, twin_pair
 
 from crosscomb.filters.base import Estimate
 from crosscomb.filters.catalogue import make_filter
-from crosscomb.filters.reference_adaptive import (
+from crosscomb.filters.reference.adaptive import (
     reference_dual_ekf,
     reference_friction_adaptive_ekf,
     reference_tyre_ekf,
 )
-from crosscomb.filters.reference_random_walk import (
+from crosscomb.filters.reference.random_walk import (
     reference_double_track_random_walk_ekf,
     reference_random_walk_ekf,
 )

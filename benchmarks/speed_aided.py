@@ -15,7 +15,7 @@ from speed_filters import KERNEL_STEPS, print_pairs, slalom, twin_pair
 
 from crosscomb.filters.base import GNSS_COURSE, GNSS_SPEED, HEADING, VX, YAW_RATE, Estimate, Inputs
 from crosscomb.filters.catalogue import make_filter
-from crosscomb.filters.reference_aided import (
+from crosscomb.filters.reference.aided import (
     reference_gnss_dynamic_observer,
     reference_gnss_kinematic_kf,
     reference_zero_yaw_kf,

@@ -25,10 +25,10 @@ from rich.table import Table
 
 from crosscomb.filters import base
 from crosscomb.filters.base import Estimate, Inputs, KernelFilter
-from crosscomb.filters.dynamic_ekf import DynamicEKF
-from crosscomb.filters.kinematic_kf import KinematicKF
-from crosscomb.filters.random_walk_pf import FAR_OFF, FIRST_SPREAD, MOST_DOUBT, RandomWalkPF
-from crosscomb.filters.reference import reference_dynamic_ekf, reference_kinematic_kf
+from crosscomb.filters.kinematic.kf import KinematicKF
+from crosscomb.filters.random_walk.pf import FAR_OFF, FIRST_SPREAD, MOST_DOUBT, RandomWalkPF
+from crosscomb.filters.reference.basic import reference_dynamic_ekf, reference_kinematic_kf
+from crosscomb.filters.single_track.ekf import DynamicEKF
 from crosscomb.models.single_track import body_rates
 from crosscomb.models.vehicle import Vehicle, load_vehicle
 

@@ -23,15 +23,15 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
-from crosscomb.filters.adaptive_pf import AdaptivePF
 from crosscomb.filters.base import VX, Estimate, Inputs, make_inputs
-from crosscomb.filters.random_walk_pf import RandomWalkPF
-from crosscomb.filters.rao_blackwell_pf import RaoBlackwellPF
+from crosscomb.filters.random_walk.adaptive_pf import AdaptivePF
+from crosscomb.filters.random_walk.pf import RandomWalkPF
+from crosscomb.filters.random_walk.rao_blackwell_pf import RaoBlackwellPF
+from crosscomb.logs.prepare import complete
 from crosscomb.models.vehicle import Vehicle, load_vehicle
-from crosscomb.prepare import complete
 from crosscomb.signals import MIN_SPEED
-from crosscomb.training.presets import Job, plan_jobs
-from crosscomb.training.simulate import simulate_log
+from crosscomb.training.simulation.presets import Job, plan_jobs
+from crosscomb.training.simulation.simulate import simulate_log
 
 BAR = "plain, 10,000"
 SETTLED = 100

@@ -17,7 +17,7 @@ from speed_filters import KERNEL_STEPS, Pair, print_pairs, slalom, twin_pair
 
 from crosscomb.filters.base import VFL, VFR, VX, Estimate, Inputs
 from crosscomb.filters.catalogue import make_filter
-from crosscomb.filters.reference_planar import (
+from crosscomb.filters.reference.planar import (
     reference_cubature_kf,
     reference_first_order_ekf,
     reference_iterated_ekf,

@@ -13,11 +13,11 @@ from pathlib import Path
 import numpy as np
 
 from crosscomb.models.vehicle import load_vehicle
-from crosscomb.training.manoeuvres import MANOEUVRES
-from crosscomb.training.road import draw_road
-from crosscomb.training.scene import Scene
-from crosscomb.training.simulate import run_plan, simulate_data_set
-from crosscomb.training.spread import draw_driver, draw_plant
+from crosscomb.training.simulation.manoeuvres import MANOEUVRES
+from crosscomb.training.simulation.road import draw_road
+from crosscomb.training.simulation.scene import Scene
+from crosscomb.training.simulation.simulate import run_plan, simulate_data_set
+from crosscomb.training.simulation.spread import draw_driver, draw_plant
 
 SECONDS = 40.0
 REPEATS = 3

@@ -20,12 +20,12 @@ import time
 from pathlib import Path
 from typing import NamedTuple
 
-COMMAND = "import sys; sys.argv[0] = 'crosscomb'; from crosscomb.cli import main; main()"
+COMMAND = "import sys; sys.argv[0] = 'crosscomb'; from crosscomb.cli.main import main; main()"
 WRITE_LOG = """
 import sys
-from crosscomb.artefact import load_artefact
+from crosscomb.selection.artefact import load_artefact
 from crosscomb.models.vehicle import load_vehicle
-from crosscomb.training.simulate import simulate_log
+from crosscomb.training.simulation.simulate import simulate_log
 particles = [entry.settings.get("particles") for entry in load_artefact().filters]
 assert 1000 in particles, "the bar is for 1,000 particles"
 log = simulate_log(load_vehicle("generic_compact"), "road_limit", seed=1, duration=60.0)

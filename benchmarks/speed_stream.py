@@ -16,11 +16,11 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from crosscomb.artefact import load_artefact
-from crosscomb.estimate import estimate_log
 from crosscomb.models.vehicle import load_vehicle
-from crosscomb.stream import StreamingEstimator
-from crosscomb.training.simulate import simulate_log
+from crosscomb.run.estimate import estimate_log
+from crosscomb.run.stream import StreamingEstimator
+from crosscomb.selection.artefact import load_artefact
+from crosscomb.training.simulation.simulate import simulate_log
 
 BAR = 1000.0
 """The 99th percentile of a step must lie below this [us]."""

@@ -16,12 +16,12 @@ from joblib.externals.loky import get_reusable_executor
 
 from crosscomb.filters.catalogue import DEFAULT_FILTERS
 from crosscomb.models.vehicle import load_vehicle
-from crosscomb.training.presets import plan_jobs
 from crosscomb.training.recordings import Recording
-from crosscomb.training.simulate import simulate_log
-from crosscomb.training.train import RATE, default_filters
-from crosscomb.training.tune import tune
-from crosscomb.training.tune_scores import ERROR, prepare, score_logs
+from crosscomb.training.selectors.train import RATE, default_filters
+from crosscomb.training.simulation.presets import plan_jobs
+from crosscomb.training.simulation.simulate import simulate_log
+from crosscomb.training.tuning.scores import ERROR, prepare, score_logs
+from crosscomb.training.tuning.tune import tune
 
 LOGS, LENGTH, BAR = 10, 60.0, 180.0
 

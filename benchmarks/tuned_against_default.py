@@ -17,14 +17,14 @@ import numpy as np
 import pandas as pd
 from joblib import Parallel, delayed
 
-from crosscomb.artefact import FilterSettings
 from crosscomb.filters.catalogue import CATALOGUE
 from crosscomb.models.vehicle import Vehicle
-from crosscomb.training.benchmark import SHARED_SET
+from crosscomb.selection.artefact import FilterSettings
 from crosscomb.training.recordings import Recording, read_recordings
-from crosscomb.training.train import RATE, default_filters
-from crosscomb.training.tune import tune
-from crosscomb.training.tune_scores import ERROR, prepare, score_logs
+from crosscomb.training.selectors.train import RATE, default_filters
+from crosscomb.training.suites.benchmark import SHARED_SET
+from crosscomb.training.tuning.scores import ERROR, prepare, score_logs
+from crosscomb.training.tuning.tune import tune
 
 DIVERGED = 15.0
 """RMSE [deg] from which a filter counts as diverged: the largest sideslip angle of the set is 11 deg."""

@@ -15,21 +15,21 @@ from sklearn.base import BaseEstimator, ClassifierMixin, RegressorMixin
 from sklearn.utils.multiclass import check_classification_targets
 from sklearn.utils.validation import check_is_fitted, validate_data
 
-from crosscomb.artefact import Artefact
 from crosscomb.errors import UsageError
-from crosscomb.estimate import estimate_log, require_plausible
 from crosscomb.filters.catalogue import DEFAULT_FILTERS
+from crosscomb.logs.prepare import complete
 from crosscomb.models.vehicle import Vehicle, load_vehicle
-from crosscomb.prepare import complete
+from crosscomb.run.estimate import estimate_log, require_plausible
+from crosscomb.selection.artefact import Artefact
+from crosscomb.selection.windows import WindowSettings
 from crosscomb.signals import Signals, make_signals
-from crosscomb.training.bank import run_bank
-from crosscomb.training.fit import SELECTORS
-from crosscomb.training.fit_tree import TreeShape, fit_tree, to_tree
-from crosscomb.training.labels import Windows
 from crosscomb.training.metrics import countable, score
 from crosscomb.training.recordings import Recording, require_enough
-from crosscomb.training.train import RATE, default_filters, make_fitter, require_filters
-from crosscomb.windows import WindowSettings
+from crosscomb.training.selectors.bank import run_bank
+from crosscomb.training.selectors.fit import SELECTORS
+from crosscomb.training.selectors.fit_tree import TreeShape, fit_tree, to_tree
+from crosscomb.training.selectors.labels import Windows
+from crosscomb.training.selectors.train import RATE, default_filters, make_fitter, require_filters
 
 Log = Signals | pd.DataFrame
 
@@ -50,7 +50,7 @@ class SelectorClassifier(ClassifierMixin, BaseEstimator):
 
     Attributes
     ----------
-    tree_ : crosscomb.selector.Tree
+    tree_ : crosscomb.selection.tree.Tree
         The tree as it stands in an artefact.
     classes_ : (classes,)
     n_features_in_ : int
@@ -130,8 +130,8 @@ class SideslipRegressor(RegressorMixin, BaseEstimator):
 
     Attributes
     ----------
-    artefact_ : crosscomb.artefact.Artefact
-        For `crosscomb.artefact.save_artefact`, `estimate_log` and the streaming estimator.
+    artefact_ : crosscomb.selection.artefact.Artefact
+        For `crosscomb.selection.artefact.save_artefact`, `estimate_log` and the streaming estimator.
     """
 
     def __init__(

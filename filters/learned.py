@@ -4,7 +4,7 @@
 
 (Chindamo 2018, section 3 and figures 3 and 4). With feedback the network's own beta of 8 samples ago at 100
 Hz (0.08 s) is a fifth input (Melzi and Sabbioni 2011). The network knows no car: it holds for the cars and
-roads it was trained on (`crosscomb.training.learned`), and says nothing sure about others.
+roads it was trained on (`crosscomb.training.selectors.fit_network`), and says nothing sure about others.
 
 beta_std is a stated measure, no posterior: the RMS error on the training recordings, widened where an input
 lies outside three standard deviations of the training's and while an input is missing (its last value is

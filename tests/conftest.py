@@ -12,9 +12,9 @@ import pytest
 
 from crosscomb.models.vehicle import Vehicle, load_vehicle
 from crosscomb.signals import Signals
-from crosscomb.training.presets import plan_jobs
 from crosscomb.training.recordings import Recording, read_recordings
-from crosscomb.training.simulate import simulate_log
+from crosscomb.training.simulation.presets import plan_jobs
+from crosscomb.training.simulation.simulate import simulate_log
 
 PROJECT = Path(__file__).resolve().parents[1]
 LOGS = 10
@@ -105,7 +105,7 @@ class Ran:
 @pytest.fixture
 def crosscomb(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Callable[..., Ran]:
     """Run a command line in this process; what it does not turn into an exit code fails the test."""
-    from crosscomb.cli import main
+    from crosscomb.cli.main import main
 
     def run(*words: object) -> Ran:
         monkeypatch.setattr(sys, "argv", ["crosscomb", *map(str, words)])

@@ -11,14 +11,14 @@ from scipy.stats import chi2
 from crosscomb.filters import base
 from crosscomb.filters.base import SAMPLE_WIDTH, Inputs, KernelFilter
 from crosscomb.filters.catalogue import CATALOGUE, make_filter, settings_of
-from crosscomb.filters.dual_ekf import DualEKF, DualNoise
-from crosscomb.filters.friction_adaptive_ekf import FrictionAdaptiveEKF, FrictionNoise
-from crosscomb.filters.reference_adaptive import (
+from crosscomb.filters.reference.adaptive import (
     reference_dual_ekf,
     reference_friction_adaptive_ekf,
     reference_tyre_ekf,
 )
-from crosscomb.filters.tyre_adaptive_ekf import LINT, RATES, RATT, RATTE, TyreNoise
+from crosscomb.filters.single_track.dual_ekf import DualEKF, DualNoise
+from crosscomb.filters.single_track.friction_ekf import FrictionAdaptiveEKF, FrictionNoise
+from crosscomb.filters.single_track.tyre_ekf import LINT, RATES, RATT, RATTE, TyreNoise
 from crosscomb.models import parameter_track as track_model
 from crosscomb.models.single_track import SingleTrack, single_track
 from crosscomb.models.vehicle import load_vehicle

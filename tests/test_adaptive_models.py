@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from filterpy.kalman import KalmanFilter
 
-from crosscomb.filters.leading import consider_update, propagate_leading
+from crosscomb.filters.algebra.leading import consider_update, propagate_leading
 from crosscomb.models import parameter_track as track_model
 from crosscomb.models.single_track import single_track, single_track_rates
 from crosscomb.models.tyres import (

@@ -9,13 +9,20 @@ from typing import Any
 import numpy as np
 import pytest
 
-from crosscomb.artefact import SCHEMA_VERSION, SHIPPED, Artefact, load_artefact, parse_artefact, save_artefact
 from crosscomb.errors import UsageError
 from crosscomb.filters.catalogue import DEFAULT_FILTERS, make_filter, settings_of
 from crosscomb.models.vehicle import Vehicle
-from crosscomb.selector import Tree
-from crosscomb.switch import SwitchSettings
-from crosscomb.windows import WindowSettings
+from crosscomb.selection.artefact import (
+    SCHEMA_VERSION,
+    SHIPPED,
+    Artefact,
+    load_artefact,
+    parse_artefact,
+    save_artefact,
+)
+from crosscomb.selection.switch import SwitchSettings
+from crosscomb.selection.tree import Tree
+from crosscomb.selection.windows import WindowSettings
 
 
 def small_artefact(car: Vehicle) -> Artefact:

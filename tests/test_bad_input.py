@@ -10,12 +10,12 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from crosscomb.artefact import load_artefact
+from crosscomb.selection.artefact import load_artefact
 from crosscomb.signals import Signals
-from crosscomb.training.bank import run_bank
-from crosscomb.training.fit import SELECTORS
 from crosscomb.training.recordings import Recording
-from crosscomb.training.train import default_filters
+from crosscomb.training.selectors.bank import run_bank
+from crosscomb.training.selectors.fit import SELECTORS
+from crosscomb.training.selectors.train import default_filters
 
 
 @dataclass
@@ -284,7 +284,7 @@ def test_training_names_the_one_broken_log_and_computes_nothing(
     def forbidden(*_: object, **__: object) -> None:
         raise AssertionError("nothing may be computed")
 
-    monkeypatch.setattr("crosscomb.training.train.run_bank", forbidden)
+    monkeypatch.setattr("crosscomb.training.selectors.train.run_bank", forbidden)
     LOGS[fault][0](place)
     refused(train(crosscomb, place, tmp_path), tmp_path / "out", str(place.log), *LOGS[fault][1])
 

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from crosscomb.boosted import Boosted
-from crosscomb.choice import Choice, blend
-from crosscomb.training.fit_boosted import fit_trees, to_boosted
+from crosscomb.selection.boosted import Boosted
+from crosscomb.selection.choice import Choice, blend
+from crosscomb.training.selectors.fit_boosted import fit_trees, to_boosted
 
 SOUND = {
     "baseline": [0.5],

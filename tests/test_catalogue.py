@@ -9,12 +9,12 @@ import pytest
 from crosscomb.errors import UsageError
 from crosscomb.filters.base import SAMPLE_WIDTH, make_inputs
 from crosscomb.filters.catalogue import CATALOGUE, make_filter, settings_of
-from crosscomb.logs import read_log
+from crosscomb.logs.prepare import complete
+from crosscomb.logs.read import read_log
+from crosscomb.logs.resample import resample
 from crosscomb.models.vehicle import load_vehicle
-from crosscomb.prepare import complete
-from crosscomb.resample import resample
 from crosscomb.signals import MIN_SPEED
-from crosscomb.training.simulate import simulate_log
+from crosscomb.training.simulation.simulate import simulate_log
 
 CAR = load_vehicle("generic_compact")
 DEAR = {"random_walk_pf", "adaptive_pf", "dynamic_pf", "kinematic_pf"}

@@ -6,9 +6,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from crosscomb.channel_map import FACTORS, Channel, ChannelMap, apply_map, load_map
 from crosscomb.errors import UsageError
-from crosscomb.logs import read_log
+from crosscomb.logs.channel_map import FACTORS, Channel, ChannelMap, apply_map, load_map
+from crosscomb.logs.read import read_log
 from crosscomb.signals import UNITS
 
 

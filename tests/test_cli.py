@@ -11,10 +11,10 @@ import pandas as pd
 import pytest
 
 import crosscomb as package
-from crosscomb.artefact import load_artefact
 from crosscomb.filters.catalogue import CATALOGUE, DEFAULT_FILTERS
 from crosscomb.models.vehicle import load_vehicle
-from crosscomb.training import benchmark as suites
+from crosscomb.selection.artefact import load_artefact
+from crosscomb.training.suites import benchmark as suites
 
 COMMANDS = [
     "filters", "vehicle", "simulate", "tune", "train", "identify", "estimate", "check", "benchmark", "demo",
@@ -33,7 +33,7 @@ def trained(data_set, tmp_path_factory) -> Path:
 
 def shell(*words: object) -> subprocess.CompletedProcess[str]:
     """Run a command line in a process of its own."""
-    code = "import sys; sys.argv[0] = 'crosscomb'; from crosscomb.cli import main; main()"
+    code = "import sys; sys.argv[0] = 'crosscomb'; from crosscomb.cli.main import main; main()"
     line = [sys.executable, "-c", code, *map(str, words)]
     return subprocess.run(line, capture_output=True, text=True, encoding="utf-8", timeout=300)
 

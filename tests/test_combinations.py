@@ -24,18 +24,18 @@ from crosscomb.filters.base import (
     gaussian,
     make_inputs,
 )
-from crosscomb.filters.blends import CovarianceFusion, FuzzyBlend
 from crosscomb.filters.catalogue import make_filter
-from crosscomb.filters.cross_combined import CrossCombinedUKF, CrossNoise, kinematic_share
-from crosscomb.filters.dynamic_ekf import DynamicEKF, DynamicNoise
-from crosscomb.filters.kinematic_kf import KinematicKF, KinematicNoise
-from crosscomb.filters.model_bank import Cars, ModelNoise, model_shares, slip_predict
-from crosscomb.filters.multiple_model import IMM, MMAE
-from crosscomb.filters.sigma_point import SimpleUKF
+from crosscomb.filters.combined.blends import CovarianceFusion, FuzzyBlend
+from crosscomb.filters.combined.cross_combined import CrossCombinedUKF, CrossNoise, kinematic_share
+from crosscomb.filters.combined.model_bank import Cars, ModelNoise, model_shares, slip_predict
+from crosscomb.filters.combined.multiple_model import IMM, MMAE
+from crosscomb.filters.kinematic.kf import KinematicKF, KinematicNoise
+from crosscomb.filters.planar.ukf import SimpleUKF
+from crosscomb.filters.single_track.ekf import DynamicEKF, DynamicNoise
+from crosscomb.logs.prepare import complete
 from crosscomb.models.single_track import single_track, single_track_rates, stable_substeps
 from crosscomb.models.vehicle import load_vehicle
-from crosscomb.prepare import complete
-from crosscomb.training.simulate import simulate_log
+from crosscomb.training.simulation.simulate import simulate_log
 
 DT = 0.01
 GOLF = load_vehicle("golf_gti_2018")

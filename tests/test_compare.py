@@ -7,14 +7,16 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from crosscomb.answer import select, start_selection
-from crosscomb.artefact import Artefact, load_artefact, save_artefact
-from crosscomb.estimate import estimate_log
-from crosscomb.stream import StreamingEstimator
-from crosscomb.training import compare as compare_module
-from crosscomb.training import fit, fit_boosted, fit_correction
-from crosscomb.training.bank import BankRun, run_bank
-from crosscomb.training.compare import (
+from crosscomb.report.tree_view import tree_figure, tree_text
+from crosscomb.run.estimate import estimate_log
+from crosscomb.run.stream import StreamingEstimator
+from crosscomb.selection.answer import select, start_selection
+from crosscomb.selection.artefact import Artefact, load_artefact, save_artefact
+from crosscomb.training.recordings import Recording
+from crosscomb.training.selectors import compare as compare_module
+from crosscomb.training.selectors import fit, fit_boosted, fit_correction
+from crosscomb.training.selectors.bank import BankRun, run_bank
+from crosscomb.training.selectors.compare import (
     Comparison,
     bootstrap_ratio,
     compare,
@@ -22,12 +24,10 @@ from crosscomb.training.compare import (
     driving_of,
     leave_one_out,
 )
-from crosscomb.training.evaluate import BANDS, evaluate
-from crosscomb.training.fit import SELECTORS, STATISTICS, Fitter
-from crosscomb.training.fit_tree import keep_what_is_sure
-from crosscomb.training.recordings import Recording
-from crosscomb.training.train import default_filters
-from crosscomb.tree_view import tree_figure, tree_text
+from crosscomb.training.selectors.evaluate import BANDS, evaluate
+from crosscomb.training.selectors.fit import SELECTORS, STATISTICS, Fitter
+from crosscomb.training.selectors.fit_tree import keep_what_is_sure
+from crosscomb.training.selectors.train import default_filters
 
 
 @pytest.fixture(scope="module")

@@ -8,14 +8,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from crosscomb.artefact import load_artefact
-from crosscomb.estimate import estimate_log
 from crosscomb.filters import catalogue
 from crosscomb.filters.base import make_inputs
+from crosscomb.logs.prepare import complete
+from crosscomb.logs.resample import resample
 from crosscomb.models.vehicle import load_vehicle
-from crosscomb.prepare import complete
-from crosscomb.resample import resample
-from crosscomb.training.simulate import simulate_log
+from crosscomb.run.estimate import estimate_log
+from crosscomb.selection.artefact import load_artefact
+from crosscomb.training.simulation.simulate import simulate_log
 
 TEXT = (Path(__file__).resolve().parents[1] / "CONTRIBUTING.md").read_text(encoding="utf-8")
 BLOCKS = re.findall(r"```python\n(.*?)```", TEXT, flags=re.DOTALL)

@@ -5,11 +5,12 @@ import pytest
 from pydantic import ValidationError
 from sklearn.neural_network import MLPRegressor
 
-from crosscomb.correction import FADE, Correction, correct, inside_weight, make_correction_state
-from crosscomb.features import MEMORIES, layout
-from crosscomb.network import FAR, Network
-from crosscomb.training.fit_boosted import fit_trees, to_boosted
-from crosscomb.training.fit_correction import (
+from crosscomb.selection.correction import FADE, Correction, correct, inside_weight, make_correction_state
+from crosscomb.selection.features import MEMORIES, layout
+from crosscomb.selection.network import FAR, Network
+from crosscomb.selection.trust import Trust
+from crosscomb.training.selectors.fit_boosted import fit_trees, to_boosted
+from crosscomb.training.selectors.fit_correction import (
     Part,
     Size,
     constant_doubt,
@@ -17,8 +18,7 @@ from crosscomb.training.fit_correction import (
     fit_network,
     to_member,
 )
-from crosscomb.training.fit_trust import conformal_scale
-from crosscomb.trust import Trust
+from crosscomb.training.selectors.fit_trust import conformal_scale
 
 FILTERS = ["kinematic_kf", "dynamic_ekf"]
 PLACES = layout(FILTERS)

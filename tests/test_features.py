@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from crosscomb.estimate import FilterRun, run_filters
-from crosscomb.features import INNOVATION_ODD, MEMORIES, MOST_INNOVATION, Layout, layout
 from crosscomb.filters.catalogue import CATALOGUE, make_filter
+from crosscomb.logs.prepare import complete
 from crosscomb.models.vehicle import load_vehicle
-from crosscomb.prepare import complete
+from crosscomb.run.estimate import FilterRun, run_filters
+from crosscomb.selection.features import INNOVATION_ODD, MEMORIES, MOST_INNOVATION, Layout, layout
+from crosscomb.selection.windows import WindowSettings
 from crosscomb.signals import Signals
-from crosscomb.training.simulate import simulate_log
-from crosscomb.windows import WindowSettings
+from crosscomb.training.simulation.simulate import simulate_log
 
 CAR = load_vehicle("generic_compact")
 NAMES = ["kinematic_kf", "luenberger", "dynamic_ekf"]

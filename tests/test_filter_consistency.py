@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
+from crosscomb.filters.algebra.resampling import resample
 from crosscomb.filters.base import (
     AX,
     AY,
@@ -23,19 +24,18 @@ from crosscomb.filters.base import (
     Inputs,
     KernelFilter,
 )
-from crosscomb.filters.blends import CovarianceFusion, FusionNoise, FuzzyBlend, FuzzyNoise
-from crosscomb.filters.dynamic_ekf import DynamicEKF, DynamicNoise
-from crosscomb.filters.dynamic_pf import DynamicPF
-from crosscomb.filters.kinematic_kf import KinematicKF, KinematicNoise
-from crosscomb.filters.kinematic_pf import KinematicPF
-from crosscomb.filters.random_walk_pf import (
+from crosscomb.filters.combined.blends import CovarianceFusion, FusionNoise, FuzzyBlend, FuzzyNoise
+from crosscomb.filters.kinematic.kf import KinematicKF, KinematicNoise
+from crosscomb.filters.kinematic.pf import KinematicPF
+from crosscomb.filters.random_walk.pf import (
     ParticleNoise,
     RandomWalkPF,
     move_and_weigh,
     normalise,
     weighted_beta,
 )
-from crosscomb.filters.resampling import resample
+from crosscomb.filters.single_track.ekf import DynamicEKF, DynamicNoise
+from crosscomb.filters.single_track.pf import DynamicPF
 from crosscomb.models.kinematic import input_gain, rotation, slip_of_rolling_rear
 from crosscomb.models.random_walk import random_walk_rates
 from crosscomb.models.single_track import single_track_rates, stable_substeps

@@ -8,6 +8,7 @@ import pandas as pd
 import pytest
 from scipy.stats import kstest
 
+from crosscomb.filters.algebra.resampling import resample
 from crosscomb.filters.base import (
     AX,
     AY,
@@ -27,9 +28,8 @@ from crosscomb.filters.base import (
     KernelFilter,
     make_inputs,
 )
-from crosscomb.filters.dynamic_ekf import DynamicEKF, DynamicNoise
-from crosscomb.filters.kinematic_kf import KinematicKF, KinematicNoise
-from crosscomb.filters.random_walk_pf import (
+from crosscomb.filters.kinematic.kf import KinematicKF, KinematicNoise
+from crosscomb.filters.random_walk.pf import (
     ParticleNoise,
     RandomWalkPF,
     draw_uniform,
@@ -37,12 +37,12 @@ from crosscomb.filters.random_walk_pf import (
     move_and_weigh,
     sin_cos,
 )
-from crosscomb.filters.reference import (
+from crosscomb.filters.reference.basic import (
     reference_dynamic_ekf,
     reference_kinematic_kf,
     reference_random_walk_pf,
 )
-from crosscomb.filters.resampling import resample
+from crosscomb.filters.single_track.ekf import DynamicEKF, DynamicNoise
 from crosscomb.models.kinematic import input_gain, rotation, slip_of_rolling_rear
 from crosscomb.models.random_walk import random_walk_rates
 from crosscomb.models.single_track import FRICTION_MARGIN, single_track, single_track_rates, stable_substeps

@@ -23,20 +23,20 @@ from crosscomb.filters.base import (
     KernelFilter,
     make_inputs,
 )
-from crosscomb.filters.dynamic_ekf import DynamicEKF
-from crosscomb.filters.gnss_dynamic import GnssDynamicNoise, GnssDynamicObserver
-from crosscomb.filters.gnss_kinematic import (
+from crosscomb.filters.kinematic.gnss_kf import (
     UNKNOWN_HEADING,
     GnssKinematicKF,
     GnssKinematicNoise,
     wrap,
 )
-from crosscomb.filters.reference_aided import reference_gnss_dynamic_observer, reference_gnss_kinematic_kf
+from crosscomb.filters.reference.aided import reference_gnss_dynamic_observer, reference_gnss_kinematic_kf
+from crosscomb.filters.single_track.ekf import DynamicEKF
+from crosscomb.filters.single_track.gnss_ekf import GnssDynamicNoise, GnssDynamicObserver
+from crosscomb.logs.prepare import complete
 from crosscomb.models.kinematic import input_gain, rotation, slip_of_rolling_rear
 from crosscomb.models.single_track import single_track_rates, stable_substeps
 from crosscomb.models.vehicle import load_vehicle
-from crosscomb.prepare import complete
-from crosscomb.training.simulate import simulate_log
+from crosscomb.training.simulation.simulate import simulate_log
 
 DT = 0.01
 GOLF = load_vehicle("golf_gti_2018")

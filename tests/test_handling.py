@@ -4,10 +4,11 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from crosscomb.artefact import Artefact, load_artefact
-from crosscomb.estimate import estimate_log
 from crosscomb.filters.base import AY, SAMPLE_WIDTH, STEER, VX, YAW_RATE
-from crosscomb.handling import (
+from crosscomb.models.vehicle import load_vehicle
+from crosscomb.report.page import estimate_figure
+from crosscomb.run.estimate import estimate_log
+from crosscomb.run.handling import (
     CONFIRM,
     COUNTERSTEER,
     ENTER,
@@ -21,13 +22,12 @@ from crosscomb.handling import (
     handling_of,
     start_handling,
 )  # fmt: skip
-from crosscomb.models.vehicle import load_vehicle
-from crosscomb.motion import motion_of, start_motion
-from crosscomb.report import estimate_figure
+from crosscomb.run.motion import motion_of, start_motion
+from crosscomb.selection.artefact import Artefact, load_artefact
 from crosscomb.signals import Signals, make_signals
-from crosscomb.training.handling_score import count_states, true_slips, true_states
 from crosscomb.training.recordings import find_logs
-from crosscomb.training.simulate import simulate_log
+from crosscomb.training.simulation.simulate import simulate_log
+from crosscomb.training.suites.handling import count_states, true_slips, true_states
 
 CAR = load_vehicle("generic_compact")
 DT = 0.01

@@ -11,12 +11,12 @@ import pytest
 from crosscomb.errors import UsageError
 from crosscomb.models.vehicle import load_vehicle
 from crosscomb.signals import Signals, make_signals
-from crosscomb.training.identify import Identification, identify
-from crosscomb.training.identify_drive import make_drive, steering
-from crosscomb.training.identify_files import fitted_map
-from crosscomb.training.identify_sensors import still_biases
+from crosscomb.training.identification.drive import make_drive, steering
+from crosscomb.training.identification.files import fitted_map
+from crosscomb.training.identification.identify import Identification, identify
+from crosscomb.training.identification.sensors import still_biases
 from crosscomb.training.recordings import Recording
-from crosscomb.training.simulate import simulate_log
+from crosscomb.training.simulation.simulate import simulate_log
 
 REFERENCE = ["beta_ref", "vx_ref", "vy_ref"]
 
@@ -133,7 +133,7 @@ def test_nothing_driven_is_an_error_of_use() -> None:
 
 
 def recordings(folder: Path, car: str) -> list[Recording]:
-    from crosscomb.logs import read_log
+    from crosscomb.logs.read import read_log
 
     vehicle = load_vehicle(car)
     return [Recording(path.name, path, vehicle, read_log(path)) for path in sorted(folder.glob("*.csv"))]

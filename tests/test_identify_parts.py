@@ -9,24 +9,24 @@ import pandas as pd
 import pytest
 from scipy.optimize import least_squares
 
-from crosscomb.channel_map import Channel, ChannelMap, apply_map, load_map
-from crosscomb.logs import read_log
+from crosscomb.logs.channel_map import Channel, ChannelMap, apply_map, load_map
+from crosscomb.logs.read import read_log
 from crosscomb.models.magic_formula import magic_formula
 from crosscomb.models.plant import make_plant
 from crosscomb.models.tyres import rational_tyre
 from crosscomb.models.tyres_combined import combined_forces
 from crosscomb.models.vehicle import load_vehicle, parse_vehicle, vehicle_text
 from crosscomb.signals import GRAVITY, Signals, make_signals
-from crosscomb.training.identify import identified_vehicle, identify
-from crosscomb.training.identify_drive import RATE, Drive, low_pass, make_drive, settled
-from crosscomb.training.identify_files import fitted_map, identified_recording
-from crosscomb.training.identify_fit import Layout, covariance, solve
-from crosscomb.training.identify_motion import Sensing, run_model
-from crosscomb.training.identify_sensors import kinematics
-from crosscomb.training.identify_tyres import AxleCurve, _curve
+from crosscomb.training.identification.drive import RATE, Drive, low_pass, make_drive, settled
+from crosscomb.training.identification.files import fitted_map, identified_recording
+from crosscomb.training.identification.fit import Layout, covariance, solve
+from crosscomb.training.identification.identify import identified_vehicle, identify
+from crosscomb.training.identification.motion import Sensing, run_model
+from crosscomb.training.identification.sensors import kinematics
+from crosscomb.training.identification.tyres import AxleCurve, _curve
 from crosscomb.training.recordings import Recording
-from crosscomb.training.replay import replay_linear
-from crosscomb.training.simulate import simulate_log
+from crosscomb.training.simulation.replay import replay_linear
+from crosscomb.training.simulation.simulate import simulate_log
 
 CAR = load_vehicle("generic_compact")
 PLAIN = CAR.model_copy(

@@ -15,7 +15,7 @@ from crosscomb.filters.base import (
     YAW_RATE,
     Inputs,
 )
-from crosscomb.filters.kinematic_kf import (
+from crosscomb.filters.kinematic.kf import (
     BIAS_AX,
     BIAS_AY,
     MOST_BIAS,

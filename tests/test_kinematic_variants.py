@@ -20,10 +20,16 @@ from crosscomb.filters.base import (
     Inputs,
     KernelFilter,
 )
-from crosscomb.filters.kinematic_kf import KinematicKF, KinematicNoise
-from crosscomb.filters.kinematic_variants import LEAST_SHARE, BlendKF, BlendNoise, ZeroYawKF, straight_share
-from crosscomb.filters.reference import _walk
-from crosscomb.filters.reference_aided import reference_zero_yaw_kf
+from crosscomb.filters.kinematic.kf import KinematicKF, KinematicNoise
+from crosscomb.filters.kinematic.kf_variants import (
+    LEAST_SHARE,
+    BlendKF,
+    BlendNoise,
+    ZeroYawKF,
+    straight_share,
+)
+from crosscomb.filters.reference.aided import reference_zero_yaw_kf
+from crosscomb.filters.reference.basic import _walk
 from crosscomb.models.kinematic import input_gain, rotation, slip_of_rolling_rear
 from crosscomb.models.single_track import single_track_rates, stable_substeps
 from crosscomb.models.vehicle import load_vehicle

@@ -126,17 +126,24 @@ def test_notebooks_name_no_folder_of_one_machine() -> None:
 
 
 def layered_modules() -> set[str]:
-    (contract,) = (c for c in SETTINGS["importlinter"]["contracts"] if c["type"] == "layers")
-    names = [name.strip(" ()") for layer in contract["layers"] for name in re.split("[|:]", layer)]
-    return {name if name.startswith("crosscomb.") else f"crosscomb.{name}" for name in names}
-
-
-def test_every_module_stands_in_a_layer() -> None:
-    modules = {
-        f"crosscomb.{path.stem}" for path in (PROJECT / "crosscomb").glob("*.py") if path.stem != "__init__"
+    """Every module or room that a contract of layers places."""
+    contracts = [c for c in SETTINGS["importlinter"]["contracts"] if c["type"] == "layers"]
+    return {
+        f"{container}.{name.strip()}"
+        for contract in contracts
+        for container in contract["containers"]
+        for layer in contract["layers"]
+        for name in re.split("[|:]", layer)
     }
-    rooms = set(ROOMS) - {"crosscomb"}
-    outside = (modules | rooms) - layered_modules()
+
+
+@pytest.mark.parametrize("package", ["crosscomb", "crosscomb.filters", "crosscomb.training"])
+def test_every_module_and_room_stands_in_a_layer(package: str) -> None:
+    folder = PROJECT / ROOMS[package]
+    modules = {path.stem for path in folder.glob("*.py")} - {"__init__"}
+    rooms = {path.parent.name for path in folder.glob("*/__init__.py")}
+    mapped = {name.removeprefix("crosscomb.") for name in ROOMS if package == "crosscomb"} - {"crosscomb"}
+    outside = {f"{package}.{name}" for name in modules | rooms | mapped} - layered_modules()
     assert not outside, "add them to the layers under [tool.importlinter] in pyproject.toml"
 
 

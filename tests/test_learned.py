@@ -20,7 +20,8 @@ from crosscomb.filters.learned import (
     shipped_network,
 )
 from crosscomb.models.vehicle import load_vehicle
-from crosscomb.training.learned import (
+from crosscomb.training.recordings import Recording
+from crosscomb.training.selectors.fit_network import (
     FEEDBACK_NOISE,
     fit_network,
     fit_regressor,
@@ -28,7 +29,6 @@ from crosscomb.training.learned import (
     simulated_recordings,
     training_rows,
 )
-from crosscomb.training.recordings import Recording
 
 DT = 0.01
 GOLF = load_vehicle("golf_gti_2018")

@@ -8,7 +8,7 @@ import pandas as pd
 import pytest
 
 from crosscomb.errors import UsageError
-from crosscomb.logs import log_name, read_log
+from crosscomb.logs.read import log_name, read_log
 
 HEADER = "t,vx,ay,yaw_rate,steer\n"
 GOOD = HEADER + "".join(f"{i / 100},{10 + i / 8},{i * 0.1:.1f},-0.125,0.02\n" for i in range(20))

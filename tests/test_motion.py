@@ -8,14 +8,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from crosscomb.artefact import Artefact, load_artefact
-from crosscomb.estimate import estimate_log
 from crosscomb.filters.base import SAMPLE_WIDTH, STEER, STEER_REAR, VX, YAW_RATE
 from crosscomb.models.vehicle import load_vehicle
-from crosscomb.motion import MOST_YAW_DOUBT, motion_of, point_velocity, start_motion
+from crosscomb.run.estimate import estimate_log
+from crosscomb.run.motion import MOST_YAW_DOUBT, motion_of, point_velocity, start_motion
+from crosscomb.run.stream import StreamingEstimator
+from crosscomb.selection.artefact import Artefact, load_artefact
 from crosscomb.signals import Signals, make_signals
-from crosscomb.stream import StreamingEstimator
-from crosscomb.training.simulate import simulate_log
+from crosscomb.training.simulation.simulate import simulate_log
 
 CAR = load_vehicle("generic_compact")
 DT = 0.01

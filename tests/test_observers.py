@@ -19,7 +19,7 @@ from crosscomb.filters.base import (
     Inputs,
     KernelFilter,
 )
-from crosscomb.filters.observers import (
+from crosscomb.filters.single_track.observers import (
     ExtendedLuenberger,
     Luenberger,
     ObserverGains,

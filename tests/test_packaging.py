@@ -77,7 +77,7 @@ def test_wheel_holds_every_module_and_data_file(installed: Path) -> None:
 def test_wheel_has_the_licence_and_the_command(installed: Path) -> None:
     (about,) = installed.glob("*.dist-info")
     assert "MIT License" in (about / "licenses" / "LICENSE").read_text(encoding="utf-8")
-    assert "crosscomb = crosscomb.cli:main" in (about / "entry_points.txt").read_text(encoding="utf-8")
+    assert "crosscomb = crosscomb.cli.main:main" in (about / "entry_points.txt").read_text(encoding="utf-8")
 
 
 def test_installed_package_finds_its_rooms_and_vehicles(installed: Path) -> None:

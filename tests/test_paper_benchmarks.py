@@ -3,7 +3,7 @@
 import pandas as pd
 import pytest
 
-from crosscomb.training.paper_benchmarks import (
+from crosscomb.training.suites.papers import (
     D_INVERNO,
     _accuracy_verdict,
     _pace_verdict,

@@ -9,7 +9,7 @@ import pytest
 from scipy.stats import kstest
 
 from crosscomb.errors import UsageError
-from crosscomb.filters.adaptive_pf import AdaptivePF
+from crosscomb.filters.algebra.resampling import RESAMPLING, draw_sources, sorted_uniforms
 from crosscomb.filters.base import (
     AX,
     AY,
@@ -29,12 +29,12 @@ from crosscomb.filters.base import (
     KernelFilter,
 )
 from crosscomb.filters.catalogue import make_filter, settings_of
-from crosscomb.filters.dynamic_ekf import DynamicEKF, DynamicNoise
-from crosscomb.filters.dynamic_pf import DynamicPF
-from crosscomb.filters.kinematic_kf import KinematicKF, KinematicNoise
-from crosscomb.filters.kinematic_pf import KinematicPF
-from crosscomb.filters.random_walk_pf import RandomWalkPF
-from crosscomb.filters.resampling import RESAMPLING, draw_sources, sorted_uniforms
+from crosscomb.filters.kinematic.kf import KinematicKF, KinematicNoise
+from crosscomb.filters.kinematic.pf import KinematicPF
+from crosscomb.filters.random_walk.adaptive_pf import AdaptivePF
+from crosscomb.filters.random_walk.pf import RandomWalkPF
+from crosscomb.filters.single_track.ekf import DynamicEKF, DynamicNoise
+from crosscomb.filters.single_track.pf import DynamicPF
 from crosscomb.models.kinematic import slip_of_rolling_rear
 from crosscomb.models.single_track import single_track_rates
 from crosscomb.models.vehicle import load_vehicle

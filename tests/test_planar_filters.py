@@ -10,6 +10,15 @@ from scipy.optimize import minimize
 from scipy.stats import chi2
 
 from crosscomb.errors import UsageError
+from crosscomb.filters.algebra.dense import (
+    guarded_cholesky,
+    joint_update,
+    joseph_update,
+    joseph_update_3,
+    propagate_3,
+    propagate_cov,
+    triangular_factor,
+)
 from crosscomb.filters.base import (
     AX,
     AY,
@@ -31,8 +40,9 @@ from crosscomb.filters.base import (
     Inputs,
 )
 from crosscomb.filters.catalogue import CATALOGUE, make_filter
-from crosscomb.filters.cross_combined import CrossCombinedUKF, CrossNoise
-from crosscomb.filters.cubature import (
+from crosscomb.filters.combined.cross_combined import CrossCombinedUKF, CrossNoise
+from crosscomb.filters.kinematic.kf import KinematicNoise
+from crosscomb.filters.planar.ckf import (
     HORIZON_PRIOR,
     LEAST_WEIGHT,
     CubatureHybridKF,
@@ -42,28 +52,10 @@ from crosscomb.filters.cubature import (
     predict_by_points,
     root_update,
 )
-from crosscomb.filters.dense import (
-    guarded_cholesky,
-    joint_update,
-    joseph_update,
-    joseph_update_3,
-    propagate_3,
-    propagate_cov,
-    triangular_factor,
-)
-from crosscomb.filters.kinematic_kf import KinematicNoise
-from crosscomb.filters.planar import PlanarFilter, PlanarNoise, expect, planar_move, substeps
-from crosscomb.filters.planar_ekf import DoubleTrackEKF, FirstOrderEKF, IteratedEKF, ekf_update
-from crosscomb.filters.reference_planar import (
-    reference_cubature_kf,
-    reference_first_order_ekf,
-    reference_iterated_ekf,
-    reference_receding_horizon,
-    reference_second_order_ekf,
-    reference_ukf,
-)
-from crosscomb.filters.second_order_ekf import SecondOrderEKF
-from crosscomb.filters.sigma_point import (
+from crosscomb.filters.planar.ekf import DoubleTrackEKF, FirstOrderEKF, IteratedEKF, ekf_update
+from crosscomb.filters.planar.second_order_ekf import SecondOrderEKF
+from crosscomb.filters.planar.shared import PlanarFilter, PlanarNoise, expect, planar_move, substeps
+from crosscomb.filters.planar.ukf import (
     GeneralUKF,
     SigmaPoints,
     SimpleUKF,
@@ -76,6 +68,14 @@ from crosscomb.filters.sigma_point import (
     simplex_points,
     spherical_points,
     update_by_points,
+)
+from crosscomb.filters.reference.planar import (
+    reference_cubature_kf,
+    reference_first_order_ekf,
+    reference_iterated_ekf,
+    reference_receding_horizon,
+    reference_second_order_ekf,
+    reference_ukf,
 )
 from crosscomb.models.kinematic import slip_of_rolling_rear
 from crosscomb.models.planar import Contacts, PlanarCar, contacts, planar_rates, set_contacts

@@ -32,7 +32,7 @@ from crosscomb.models.plant_motion import step, wheel_loads
 from crosscomb.models.tyres_combined import combined_forces
 from crosscomb.models.vehicle import Plant, Vehicle
 from crosscomb.signals import GRAVITY
-from crosscomb.training.driver import start
+from crosscomb.training.simulation.driver import start
 
 CAR = Vehicle(
     name="test car",

@@ -25,7 +25,7 @@ from crosscomb.models.plant import (
 from crosscomb.models.plant_motion import step
 from crosscomb.models.vehicle import Plant, Tyre, Vehicle
 from crosscomb.signals import GRAVITY
-from crosscomb.training.driver import start
+from crosscomb.training.simulation.driver import start
 
 vehicle_dynamics_mb = pytest.importorskip("vehiclemodels.vehicle_dynamics_mb").vehicle_dynamics_mb
 init_mb = pytest.importorskip("vehiclemodels.init_mb").init_mb

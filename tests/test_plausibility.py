@@ -8,13 +8,13 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from crosscomb.channel_map import load_map
-from crosscomb.coverage import Finding
-from crosscomb.logs import read_log
+from crosscomb.logs.channel_map import load_map
+from crosscomb.logs.gaps import Finding
+from crosscomb.logs.plausibility import check_units
+from crosscomb.logs.read import read_log
 from crosscomb.models.vehicle import Vehicle, load_vehicle
-from crosscomb.plausibility import check_units
 from crosscomb.signals import GRAVITY, WHEEL_SPEEDS, Signals
-from crosscomb.training.simulate import simulate_log
+from crosscomb.training.simulation.simulate import simulate_log
 
 DEGREES = 180.0 / np.pi
 

@@ -7,9 +7,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from crosscomb.logs import read_log
+from crosscomb.logs.prepare import causal_slope, complete, speed_from_wheels
+from crosscomb.logs.read import read_log
 from crosscomb.models.vehicle import Vehicle, load_vehicle
-from crosscomb.prepare import causal_slope, complete, speed_from_wheels
 from crosscomb.signals import WHEEL_SPEEDS, Signals
 
 

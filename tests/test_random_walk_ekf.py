@@ -10,9 +10,9 @@ from scipy.stats import chi2
 from crosscomb.filters import base
 from crosscomb.filters.base import SAMPLE_WIDTH, Inputs
 from crosscomb.filters.catalogue import make_filter, settings_of
-from crosscomb.filters.double_track_random_walk_ekf import DoubleTrackRandomWalkEKF, DoubleWalkNoise
-from crosscomb.filters.random_walk_ekf import FORCE_EXTRAS, RandomWalkEKF, WalkNoise
-from crosscomb.filters.reference_random_walk import (
+from crosscomb.filters.random_walk.double_track_ekf import DoubleTrackRandomWalkEKF, DoubleWalkNoise
+from crosscomb.filters.random_walk.ekf import FORCE_EXTRAS, RandomWalkEKF, WalkNoise
+from crosscomb.filters.reference.random_walk import (
     reference_double_track_random_walk_ekf,
     reference_random_walk_ekf,
 )
@@ -21,8 +21,8 @@ from crosscomb.models.random_walk import random_walk_jacobian, random_walk_rates
 from crosscomb.models.single_track import single_track, single_track_rates
 from crosscomb.models.vehicle import load_vehicle
 from crosscomb.signals import GRAVITY
-from crosscomb.training.paper_benchmarks_adaptive import EVOQUE, RAMP_BAR, pieralice_figure_2, ramp_steer
-from crosscomb.training.simulate import simulate_log
+from crosscomb.training.simulation.simulate import simulate_log
+from crosscomb.training.suites.papers_adaptive import EVOQUE, RAMP_BAR, pieralice_figure_2, ramp_steer
 
 GOLF = load_vehicle("golf_gti_2018")
 CAR = single_track(GOLF)

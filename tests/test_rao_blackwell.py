@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
+from crosscomb.filters.algebra.particles import normalise
+from crosscomb.filters.algebra.resampling import resample
 from crosscomb.filters.base import (
     AX,
     AY,
@@ -21,10 +23,8 @@ from crosscomb.filters.base import (
     YAW_RATE,
     Inputs,
 )
-from crosscomb.filters.dynamic_ekf import DynamicEKF
-from crosscomb.filters.particles import normalise
-from crosscomb.filters.random_walk_pf import FIRST_SPREAD, MOST_DOUBT, ParticleNoise, RandomWalkPF
-from crosscomb.filters.rao_blackwell_pf import (
+from crosscomb.filters.random_walk.pf import FIRST_SPREAD, MOST_DOUBT, ParticleNoise, RandomWalkPF
+from crosscomb.filters.random_walk.rao_blackwell_pf import (
     MAX_FORCE_STD,
     RaoBlackwellPF,
     blackwell_start,
@@ -33,7 +33,7 @@ from crosscomb.filters.rao_blackwell_pf import (
     share_update,
     take_means,
 )
-from crosscomb.filters.resampling import resample
+from crosscomb.filters.single_track.ekf import DynamicEKF
 from crosscomb.models.kinematic import slip_of_rolling_rear
 from crosscomb.models.random_walk import random_walk_jacobian, random_walk_rates
 from crosscomb.models.vehicle import load_vehicle

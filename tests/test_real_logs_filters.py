@@ -5,13 +5,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from crosscomb.estimate import FilterRun, run_filters
 from crosscomb.filters.catalogue import DEFAULT_FILTERS, make_filter
-from crosscomb.logs import read_log
+from crosscomb.logs.prepare import complete
+from crosscomb.logs.read import read_log
 from crosscomb.models.vehicle import load_vehicle
-from crosscomb.prepare import complete
+from crosscomb.run.estimate import FilterRun, run_filters
+from crosscomb.selection.windows import WindowSettings
 from crosscomb.signals import MIN_SPEED
-from crosscomb.windows import WindowSettings
 
 
 def runs_of(path: Path) -> list[FilterRun]:

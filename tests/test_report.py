@@ -11,10 +11,9 @@ import pandas as pd
 import pytest
 from matplotlib.figure import Figure
 
-from crosscomb import terminal
-from crosscomb.artefact import load_artefact
-from crosscomb.estimate import estimate_log
-from crosscomb.report import (
+from crosscomb.report import terminal
+from crosscomb.report.markdown import TITLE, markdown_table, score_rows, write_section
+from crosscomb.report.page import (
     beside_artefact,
     confusion_figure,
     confusion_table,
@@ -25,9 +24,10 @@ from crosscomb.report import (
     training_page,
     write_training,
 )
-from crosscomb.results import TITLE, markdown_table, score_rows, write_section
+from crosscomb.run.estimate import estimate_log
+from crosscomb.selection.artefact import load_artefact
 from crosscomb.signals import make_signals
-from crosscomb.training.train import Training, train
+from crosscomb.training.selectors.train import Training, train
 
 NAMES = ["kinematic_kf", "dynamic_ekf", "random_walk_pf"]
 COUNTS = np.array([[6, 2, 0], [1, 0, 3], [0, 0, 0]])

@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from crosscomb.logs import read_log
-from crosscomb.resample import MAX_AGE, MAX_GAP, resample
+from crosscomb.logs.read import read_log
+from crosscomb.logs.resample import MAX_AGE, MAX_GAP, resample
 from crosscomb.signals import Signals
 
 

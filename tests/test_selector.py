@@ -5,13 +5,13 @@ import pytest
 from pydantic import ValidationError
 from sklearn.tree import DecisionTreeClassifier
 
-from crosscomb.selector import Tree
-from crosscomb.training.bank import run_bank
-from crosscomb.training.fit import SELECTORS
-from crosscomb.training.fit_tree import TreeShape, fit_tree, to_tree, without_idle_questions
-from crosscomb.training.labels import TIE, Windows, concatenate
+from crosscomb.selection.tree import Tree
 from crosscomb.training.recordings import Recording
-from crosscomb.training.train import default_filters
+from crosscomb.training.selectors.bank import run_bank
+from crosscomb.training.selectors.fit import SELECTORS
+from crosscomb.training.selectors.fit_tree import TreeShape, fit_tree, to_tree, without_idle_questions
+from crosscomb.training.selectors.labels import TIE, Windows, concatenate
+from crosscomb.training.selectors.train import default_filters
 
 CLASSES = 3
 DEPTHS = (1, 3, 8)

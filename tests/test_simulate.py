@@ -12,12 +12,12 @@ from crosscomb.errors import UsageError
 from crosscomb.models.plant import make_plant
 from crosscomb.models.vehicle import Plant, Vehicle, load_vehicle
 from crosscomb.signals import GRAVITY, make_signals
-from crosscomb.training.manoeuvres import MANOEUVRES, NORMAL, REAR
-from crosscomb.training.presets import PRESETS, plan_jobs
-from crosscomb.training.road import SURFACES, level_road
-from crosscomb.training.scene import Scene
-from crosscomb.training.schedule import AX, AY, PATH_HEADING, PATH_Y, PROFILE, SLIDE, Driver
-from crosscomb.training.simulate import run_plan, simulate_data_set, simulate_log
+from crosscomb.training.simulation.manoeuvres import MANOEUVRES, NORMAL, REAR
+from crosscomb.training.simulation.presets import PRESETS, plan_jobs
+from crosscomb.training.simulation.road import SURFACES, level_road
+from crosscomb.training.simulation.scene import Scene
+from crosscomb.training.simulation.schedule import AX, AY, PATH_HEADING, PATH_Y, PROFILE, SLIDE, Driver
+from crosscomb.training.simulation.simulate import run_plan, simulate_data_set, simulate_log
 
 CAR = Vehicle(
     name='car "with" quotes',

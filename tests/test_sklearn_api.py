@@ -22,12 +22,12 @@ from sklearn.utils.estimator_checks import (
 )
 
 from crosscomb.errors import UsageError
-from crosscomb.estimate import estimate_log
 from crosscomb.filters.catalogue import DEFAULT_FILTERS
 from crosscomb.models.vehicle import Vehicle
+from crosscomb.run.estimate import estimate_log
+from crosscomb.selection.windows import WindowSettings
 from crosscomb.signals import Signals
 from crosscomb.sklearn_api import SelectorClassifier, SideslipRegressor, WindowData, window_data
-from crosscomb.windows import WindowSettings
 
 
 @pytest.fixture(scope="module")
@@ -206,5 +206,5 @@ def test_y_must_fit_the_logs(simulated, car):
 
 
 def test_estimating_does_not_load_scikit_learn():
-    code = "import sys, crosscomb.stream, crosscomb.estimate; sys.exit('sklearn' in sys.modules)"
+    code = "import sys, crosscomb.run.stream, crosscomb.run.estimate; sys.exit('sklearn' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code]).returncode == 0

@@ -12,7 +12,7 @@ from crosscomb.filters.catalogue import CATALOGUE, DEFAULT_FILTERS
 
 PREFACE = "import sys, json; sys.argv = ['crosscomb', *json.loads(sys.argv[1])]\n"
 MODULES = """
-from crosscomb.cli import main
+from crosscomb.cli.main import main
 try:
     main()
 except SystemExit as stop:
@@ -28,7 +28,7 @@ class Listener(event.Listener):
         pass
 compiled = []
 event.register('numba:compile', Listener())
-from crosscomb.cli import main
+from crosscomb.cli.main import main
 try:
     main()
 except SystemExit as stop:
@@ -69,10 +69,10 @@ def test_estimate_imports_only_the_estimators_it_runs(data_set, tmp_path):
     code, modules = run(MODULES, "estimate", log, "-o", tmp_path)
     assert code == 0
     estimators = {f"crosscomb.filters.{entry.place.partition(':')[0]}" for entry in CATALOGUE.values()}
-    used = {f"crosscomb.filters.{name}" for name in DEFAULT_FILTERS}
+    used = {f"crosscomb.filters.{CATALOGUE[name].place.partition(':')[0]}" for name in DEFAULT_FILTERS}
     assert estimators & set(modules) == used
     _, modules = run(MODULES, "estimate", log, "-o", tmp_path, "--filters", "luenberger")
-    assert "crosscomb.filters.observers" in modules
+    assert "crosscomb.filters.single_track.observers" in modules
     _, modules = run(MODULES, "filters")
     assert not estimators & set(modules)
 
@@ -87,7 +87,8 @@ def test_a_second_process_compiles_nothing(data_set, tmp_path):
 def test_compiling_would_be_seen(data_set, tmp_path):
     """With an empty cache every kernel is compiled, and the test above would fail."""
     code = COMPILED.replace(
-        "from crosscomb.cli", "import crosscomb.switch as s, numpy as np\nfrom crosscomb.cli"
+        "from crosscomb.cli.main",
+        "import crosscomb.selection.switch as s, numpy as np\nfrom crosscomb.cli.main",
     )
     code = code.replace(
         "try:\n    main()",

@@ -9,14 +9,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from crosscomb.artefact import Artefact, load_artefact
 from crosscomb.errors import UsageError
-from crosscomb.estimate import choose_vehicle, estimate_log
-from crosscomb.logs import read_log
+from crosscomb.logs.read import read_log
 from crosscomb.models.vehicle import Vehicle, load_vehicle
+from crosscomb.run.estimate import choose_vehicle, estimate_log
+from crosscomb.run.stream import LogEstimate, StreamEstimate, StreamingEstimator
+from crosscomb.selection.artefact import Artefact, load_artefact
 from crosscomb.signals import UNITS, Signals, make_signals
-from crosscomb.stream import LogEstimate, StreamEstimate, StreamingEstimator
-from crosscomb.training.simulate import simulate_log
+from crosscomb.training.simulation.simulate import simulate_log
 
 CAR = load_vehicle("generic_compact")
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from crosscomb.switch import SwitchSettings, make_switch_state, switch_times
-from crosscomb.switch import switch as run_switch
+from crosscomb.selection.switch import SwitchSettings, make_switch_state, switch_times
+from crosscomb.selection.switch import switch as run_switch
 
 DT = 0.01
 N = 3000

@@ -9,27 +9,27 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from crosscomb.artefact import load_artefact, save_artefact
 from crosscomb.errors import UsageError
-from crosscomb.estimate import estimate_log
 from crosscomb.models.vehicle import Vehicle, load_vehicle
-from crosscomb.report import metrics_json
+from crosscomb.report.page import metrics_json
+from crosscomb.run.estimate import estimate_log
+from crosscomb.selection.artefact import load_artefact, save_artefact
+from crosscomb.selection.windows import WindowSettings
 from crosscomb.signals import Signals, make_signals
-from crosscomb.training import fit as fit_module
 from crosscomb.training import recordings as recordings_module
-from crosscomb.training import train as train_module
-from crosscomb.training.bank import BankRun, run_bank
-from crosscomb.training.evaluate import ORACLE, SWITCH, ZERO, confusion_of, evaluate
-from crosscomb.training.fit import SELECTORS
-from crosscomb.training.fit_correction import Size
 from crosscomb.training.folds import grouped_folds, split_recordings
-from crosscomb.training.labels import label_run, oracle_beta
 from crosscomb.training.metrics import countable, coverage, score, score_log
-from crosscomb.training.presets import plan_jobs
 from crosscomb.training.recordings import Recording, common_vehicle, read_recordings, require_enough
-from crosscomb.training.simulate import simulate_log
-from crosscomb.training.train import Training, default_filters, steps, train
-from crosscomb.windows import WindowSettings
+from crosscomb.training.selectors import fit as fit_module
+from crosscomb.training.selectors import train as train_module
+from crosscomb.training.selectors.bank import BankRun, run_bank
+from crosscomb.training.selectors.evaluate import ORACLE, SWITCH, ZERO, confusion_of, evaluate
+from crosscomb.training.selectors.fit import SELECTORS
+from crosscomb.training.selectors.fit_correction import Size
+from crosscomb.training.selectors.labels import label_run, oracle_beta
+from crosscomb.training.selectors.train import Training, default_filters, steps, train
+from crosscomb.training.simulation.presets import plan_jobs
+from crosscomb.training.simulation.simulate import simulate_log
 
 WINDOW = SELECTORS["tree"].window
 
@@ -445,7 +445,7 @@ def test_a_broken_log_is_named_before_anything_is_run(
         raise AssertionError("nothing may be run")
 
     monkeypatch.setattr(train_module, "run_bank", forbidden)
-    monkeypatch.setattr("crosscomb.estimate.run_filters", forbidden)
+    monkeypatch.setattr("crosscomb.run.estimate.run_filters", forbidden)
     with pytest.raises(UsageError) as caught:
         read_recordings(tmp_path)
     for word in ("zz_last.csv", "row 9", "column t"):

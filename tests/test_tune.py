@@ -10,26 +10,26 @@ import pandas as pd
 import pytest
 from scipy.stats import multivariate_normal, norm
 
-from crosscomb.artefact import FilterSettings, load_artefact
 from crosscomb.errors import UsageError
-from crosscomb.estimate import estimate_log
 from crosscomb.filters.base import AX, AY, SAMPLE_WIDTH, VX, YAW_RATE, Inputs, Started, make_inputs
 from crosscomb.filters.catalogue import CATALOGUE, make_filter, settings_of
-from crosscomb.filters.dynamic_ekf import DynamicEKF, DynamicNoise
-from crosscomb.filters.kinematic_kf import KinematicKF, KinematicNoise
-from crosscomb.filters.random_walk_pf import ParticleNoise, RandomWalkPF
+from crosscomb.filters.kinematic.kf import KinematicKF, KinematicNoise
+from crosscomb.filters.random_walk.pf import ParticleNoise, RandomWalkPF
+from crosscomb.filters.single_track.ekf import DynamicEKF, DynamicNoise
 from crosscomb.models.kinematic import input_gain, rotation
 from crosscomb.models.single_track import body_rates, single_track_rates
 from crosscomb.models.vehicle import load_vehicle
+from crosscomb.run.estimate import estimate_log
+from crosscomb.run.tuned import Tuned, TunedNoise, load_tuned, save_tuned, with_tuned
+from crosscomb.selection.artefact import FilterSettings, load_artefact
 from crosscomb.signals import Signals, make_signals
-from crosscomb.training import tune as tune_module
-from crosscomb.training.noise import RANGE, noise_space
 from crosscomb.training.recordings import Recording
-from crosscomb.training.surrogate import minimise
-from crosscomb.training.tune import is_tunable, tune
-from crosscomb.training.tune_first import keep_what_complements, tuned_entries
-from crosscomb.training.tune_scores import ERROR, LIKELIHOOD, TuneLog, losses, prepare, score_logs
-from crosscomb.tuned import Tuned, TunedNoise, load_tuned, save_tuned, with_tuned
+from crosscomb.training.tuning import tune as tune_module
+from crosscomb.training.tuning.first import keep_what_complements, tuned_entries
+from crosscomb.training.tuning.noise import RANGE, noise_space
+from crosscomb.training.tuning.scores import ERROR, LIKELIHOOD, TuneLog, losses, prepare, score_logs
+from crosscomb.training.tuning.surrogate import minimise
+from crosscomb.training.tuning.tune import is_tunable, tune
 
 GOLF = load_vehicle("golf_gti_2018")
 DT = 0.01

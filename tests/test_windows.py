@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from crosscomb.windows import WindowSettings, window_features
+from crosscomb.selection.windows import WindowSettings, window_features
 
 RAW = WindowSettings(features="raw")
 STATISTICS = WindowSettings(features="statistics")

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from crosscomb.run.stream import LogEstimate
 from crosscomb.signals import MIN_SPEED
-from crosscomb.stream import LogEstimate
 
 
 @dataclass(frozen=True)

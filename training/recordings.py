@@ -6,12 +6,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from crosscomb.channel_map import ChannelMap
 from crosscomb.errors import UsageError
-from crosscomb.estimate import require_plausible
-from crosscomb.logs import log_name, read_log
+from crosscomb.logs.channel_map import ChannelMap
+from crosscomb.logs.prepare import complete
+from crosscomb.logs.read import log_name, read_log
 from crosscomb.models.vehicle import Vehicle, load_vehicle
-from crosscomb.prepare import complete
+from crosscomb.run.estimate import require_plausible
 from crosscomb.signals import Signals
 
 LEAST_RECORDINGS = 7

@@ -1,0 +1,160 @@
+"""What the commands show on a terminal: tables, progress, warnings."""
+
+from __future__ import annotations
+
+import math
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from typing import TYPE_CHECKING
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from crosscomb.report.markdown import WIDE, number, score_rows, summary_rows
+from crosscomb.signals import UNITS, Signals
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from crosscomb.training.metrics import Score
+    from crosscomb.training.selectors.compare import Comparison
+    from crosscomb.training.suites.benchmark import Benchmark
+
+PIPE_WIDTH = 150
+"""Columns of a table in a file or a pipe, which has no width of its own."""
+
+# No markup: it would swallow what stands in brackets, units and file names.
+console = Console(
+    markup=False, highlight=False, soft_wrap=True, width=None if sys.stdout.isatty() else PIPE_WIDTH
+)
+errors = Console(stderr=True, markup=False, highlight=False, soft_wrap=True)
+
+
+def say(text: str) -> None:
+    """Print a line as it is."""
+    console.print(text)
+
+
+def warn(text: str) -> None:
+    """Print a warning to the error stream."""
+    errors.print(f"warning: {text}")
+
+
+@contextmanager
+def progress(text: str, total: int) -> Iterator[Callable[[], None]]:
+    """Show a progress bar on the error stream where that is a terminal; gives what advances it by one.
+
+    Print nothing meanwhile: the bar would draw it to itself.
+    """
+    if not errors.is_terminal:
+        yield lambda: None
+        return
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=errors, transient=True) as bar:
+        task = bar.add_task(text, total=total)
+        yield lambda: bar.advance(task)
+
+
+def show(title: str, header: Sequence[str], rows: Sequence[Sequence[str]], left: int = 1) -> None:
+    """Print a table; the first `left` columns are words, the others numbers."""
+    table = Table(title=title, title_justify="left", title_style="bold")
+    for i, name in enumerate(header):
+        table.add_column(name, justify="left" if i < left else "right", overflow="fold")
+    for row in rows:
+        table.add_row(*row)
+    console.print(table)
+
+
+def show_scores(title: str, rmse: pd.DataFrame, largest: pd.DataFrame) -> None:
+    """Print RMSE / largest error [deg], recordings as rows and estimators as columns, with a summary row."""
+    summaries = {"mean / largest": list(rmse.index)} if len(rmse) > 1 else {}
+    show(title, ["RMSE / max [deg]", *map(str, rmse.columns)], score_rows(rmse, largest, summaries))
+
+
+def show_benchmark(result: Benchmark) -> None:
+    """Print the scores of a benchmark."""
+    rmse, largest = result.evaluation.rmse, result.evaluation.largest
+    if len(rmse.columns) > WIDE:
+        header = ["RMSE / max [deg]", *result.summaries]
+        show("Accuracy", header, summary_rows(rmse, largest, result.summaries))
+        return
+    rows = score_rows(rmse, largest, result.summaries)
+    show("Accuracy", ["RMSE / max [deg]", *map(str, rmse.columns)], rows)
+
+
+def show_table(title: str, table: pd.DataFrame) -> None:
+    """Print a table of numbers with its index."""
+    rows = [[str(name), *map(number, row)] for name, row in zip(table.index, table.to_numpy(), strict=True)]
+    show(title, ["", *map(str, table.columns)], rows)
+
+
+def show_comparison(comparison: Comparison) -> None:
+    """Print how the selectors compare."""
+    rows = [
+        [*index, f"{row['ratio']:.3f}", f"{row['ratio low']:.2f} to {row['ratio high']:.2f}",
+         *(number(row[name]) for name in comparison.summary.columns[3:])]
+        for index, row in zip(comparison.summary.index.tolist(), comparison.summary.to_dict("records"), strict=True)
+    ]  # fmt: skip
+    header = ["selector", "left out", "switch / best single", "95 %", *comparison.summary.columns[3:]]
+    show("Selectors on recordings they were not fitted on", header, rows, left=2)
+    show_table("Single estimators [deg]", comparison.references)
+    show_table("RMSE by kind of driving [deg]", comparison.by_manoeuvre)
+    show_table("RMSE by true beta [deg]", comparison.by_band)
+    show_table("What leaks when windows are dealt out at random (default tree)", comparison.leakage)
+
+
+def show_log_scores(scores: dict[str, dict[str, Score]]) -> None:
+    """Print RMSE / largest error [deg] of each estimator on each log."""
+    estimators = list(next(iter(scores.values())))
+    rows = [
+        [
+            log,
+            *(
+                f"{math.degrees(score.rmse):.2f} / {math.degrees(score.max_error):.1f}"
+                for score in each.values()
+            ),
+        ]
+        for log, each in scores.items()
+    ]
+    show("Error against the logs' ground truth", ["RMSE / max [deg]", *estimators], rows)
+
+
+def shares_text(shares: dict[str, float]) -> str:
+    """Shares in words, those that round to nothing left out."""
+    texts = [f"{name} {100.0 * share:.1f} %" for name, share in shares.items() if share >= 0.0005]
+    return ", ".join(texts) or "nothing known"
+
+
+def show_signals(signals: Signals) -> None:
+    """Print what is in a log: each channel's unit, coverage and range."""
+    t = signals.t
+    say(
+        f"{signals.source}: {len(signals)} rows, {t[-1] - t[0]:.1f} s, median step {np.median(np.diff(t)):.4g} s"
+    )
+    rows = []
+    for name in signals.frame.columns.drop("t"):
+        values = signals.column(name)
+        there = values[np.isfinite(values)]
+        share = f"{100 * len(there) / len(values):.1f} %"
+        low, high = (f"{there.min():.4g}", f"{there.max():.4g}") if there.size else ("", "")
+        rows.append([name, UNITS[name], share, low, high])
+    show("Channels", ["channel", "unit", "measured", "least", "largest"], rows, left=2)
+    absent = [name for name in UNITS if name not in signals.frame]
+    say(f"not in the log: {', '.join(absent)}" if absent else "every known channel is there")
+
+
+def show_confusion(confusion: np.ndarray, shares: np.ndarray, names: Sequence[str]) -> None:
+    """Print a confusion matrix with counts and row shares."""
+    rows = [
+        [names[i], *(f"{confusion[i, j]} ({100 * shares[i, j]:.0f} %)" for j in range(len(names)))]
+        for i in range(len(names))
+    ]
+    show(
+        "Confusion matrix of the folds: windows by best filter (rows) and selected filter",
+        ["best", *names],
+        rows,
+    )

@@ -1,0 +1,1 @@
+"""From signals to estimates, sample by sample, in batch and live."""

@@ -1,0 +1,342 @@
+"""One log end to end: filters in parallel, selector, switch, and the answer at each row of the log."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from crosscomb.errors import UsageError
+from crosscomb.files import refuse_overwriting, write_text
+from crosscomb.filters.base import Inputs, KernelFilter, make_inputs
+from crosscomb.filters.catalogue import CATALOGUE
+from crosscomb.logs.channel_map import ChannelMap
+from crosscomb.logs.plausibility import check_units
+from crosscomb.logs.prepare import complete
+from crosscomb.logs.read import log_name, read_log
+from crosscomb.logs.resample import Segment, resample
+from crosscomb.models.vehicle import Vehicle, load_vehicle
+from crosscomb.run.drive import next_seen, start_drive
+from crosscomb.run.stream import LogEstimate, Stream, advance, make_plan, to_estimate
+from crosscomb.run.tuned import Tuned
+from crosscomb.selection.answer import Answer, select, start_selection
+from crosscomb.selection.artefact import Artefact
+from crosscomb.selection.features import all_features, make_memory
+from crosscomb.selection.windows import WindowSettings
+from crosscomb.signals import REFERENCES, Signals
+
+OUTPUTS = (
+    ".estimate.csv",
+    ".estimate.png",
+    ".point.csv",
+    ".handling.csv",
+    ".extras.csv",
+    ".extras.png",
+    ".run.json",
+)
+"""Endings of what is written for a log."""
+
+GENERIC = "generic_compact"
+"""Shipped vehicle that stands in for an unknown car."""
+
+
+@dataclass(frozen=True)
+class FilterRun:
+    """What the filters made of one segment, at the working rate.
+
+    Attributes
+    ----------
+    segment : Segment
+    beta, beta_std, nis : (n, filters) [rad], [rad], [-]
+    innovations : list of (n, m)
+        Of each filter.
+    features : (n, f) float32
+        Of the window that ends at each sample.
+    inputs : Inputs
+        What the filters saw.
+    vehicle : Vehicle
+    """
+
+    segment: Segment
+    beta: np.ndarray
+    beta_std: np.ndarray
+    nis: np.ndarray
+    innovations: list[np.ndarray]
+    features: np.ndarray
+    inputs: Inputs
+    vehicle: Vehicle
+
+    def answer(self, artefact: Artefact) -> Answer:
+        """Let the artefact's selector make one answer of its filters."""
+        selection = start_selection(artefact, self.vehicle)
+        told = self.beta, self.beta_std, self.nis, self.innovations
+        return select(selection, self.inputs.samples, *told, self.features)
+
+    def all_features(self) -> np.ndarray:
+        """All features of every sample ``(n, f) float32``, see `crosscomb.selection.features`."""
+        told = self.beta, self.beta_std, self.nis, self.innovations
+        memory = make_memory(self.beta.shape[1], sum(each.shape[1] for each in self.innovations))
+        return all_features(self.inputs.samples, *told, self.vehicle, self.inputs.dt, memory)
+
+    def only(self, members: Sequence[int]) -> FilterRun:
+        """Keep some of the filters, in the order given."""
+        chosen = list(members)
+        return replace(
+            self,
+            beta=self.beta[:, chosen],
+            beta_std=self.beta_std[:, chosen],
+            nis=self.nis[:, chosen],
+            innovations=[self.innovations[member] for member in chosen],
+        )
+
+
+def run_filters(
+    signals: Signals, vehicle: Vehicle, filters: Sequence[KernelFilter], rate: float, window: WindowSettings
+) -> list[FilterRun]:
+    """Run filters over a log and cut its windows: where training starts. Run time goes the same way, with a switch.
+
+    Parameters
+    ----------
+    signals : Signals
+        Completed by `crosscomb.logs.prepare.complete`.
+    vehicle : Vehicle
+    filters : sequence of KernelFilter
+    rate : float [Hz]
+    window : WindowSettings
+    """
+    runs = []
+    for segment in resample(signals, rate):
+        seen = next_seen(start_drive(vehicle, filters, rate, window), segment.signals.rows())
+        runs.append(FilterRun(segment, *seen[1:], seen.inputs, vehicle))
+    return runs
+
+
+def estimate_log(
+    signals: Signals,
+    vehicle: Vehicle,
+    artefact: Artefact,
+    filters: Sequence[str] | None = None,
+    tuned: Tuned | None = None,
+) -> LogEstimate:
+    """Estimate the sideslip angle at each row of a log.
+
+    A row holds the newest estimate at or before its time; none is made from later samples.
+
+    Parameters
+    ----------
+    signals : Signals
+        As read from a file.
+    vehicle : Vehicle
+    artefact : Artefact
+    filters : sequence of str, optional
+        Estimators to run instead of the artefact's. With all of the artefact's among them its switch works as ever,
+        and the others stand beside it; else the first named one is the answer, and nothing is switched.
+    tuned : Tuned, optional
+        Noise that takes the place of the filters' own.
+    """
+    signals = complete(signals, vehicle)
+    plan = make_plan(vehicle, artefact, filters, tuned)
+    if not plan.switched:
+        needed = ", ".join(artefact.filter_names)
+        note = f"{plan.names[0]} is the answer: the selector needs all of {needed}"
+        signals = replace(signals, notes=(*signals.notes, note))
+    return to_estimate(plan, signals, advance(Stream(plan), signals.rows()))
+
+
+def extra_outputs(
+    signals: Signals,
+    vehicle: Vehicle,
+    artefact: Artefact,
+    filters: Sequence[str] | None = None,
+    tuned: Tuned | None = None,
+) -> pd.DataFrame:
+    """What the estimators tell beside beta: innovations, forces, yaw moment, friction in use, tyre parameters, shares.
+
+    Parameters
+    ----------
+    signals, vehicle, artefact, filters, tuned
+        As in `estimate_log`.
+
+    Returns
+    -------
+    pandas.DataFrame
+        At each row t [s] and a column ``<filter> <quantity> [unit]`` for each.
+
+    Raises
+    ------
+    UsageError
+        None of the estimators tells more than beta.
+    """
+    plan = make_plan(vehicle, artefact, filters, tuned)
+    telling = {name: made for name, made in zip(plan.names, plan.filters, strict=True) if made.extras}
+    if not telling:
+        others = [name for name, entry in CATALOGUE.items() if entry.load().extras]
+        raise UsageError(
+            f"--extras: {', '.join(plan.names)}: no more than beta to tell: name by --filters one of "
+            f"{', '.join(others)}"
+        )
+    signals, parts = complete(signals, vehicle), []
+    for segment in resample(signals, artefact.rate):
+        inputs = make_inputs(segment.signals, vehicle, 1.0 / artefact.rate)
+        columns = {"t": signals.t[segment.start_row : segment.stop_row]}
+        for name, made in telling.items():
+            extra = made.run(inputs).extra
+            columns |= {f"{name} {key}": values[segment.newest] for key, values in extra.items()}
+        parts.append(pd.DataFrame(columns))
+    return pd.concat(parts, ignore_index=True)
+
+
+@dataclass(frozen=True)
+class OpenedLog:
+    """A log that was read and found fit to be estimated.
+
+    Attributes
+    ----------
+    path : Path
+    signals : Signals
+        As read.
+    vehicle : Vehicle
+    origin : str
+        Where the vehicle came from.
+    warnings : tuple of str
+    """
+
+    path: Path
+    signals: Signals
+    vehicle: Vehicle
+    origin: str
+    warnings: tuple[str, ...]
+
+
+def open_logs(
+    paths: Sequence[Path],
+    artefact: Artefact,
+    vehicle: str | Path | None = None,
+    channel_map: ChannelMap | None = None,
+    output: Path | None = None,
+    progress: Callable[[], None] | None = None,
+) -> list[OpenedLog]:
+    """Read and check logs, all of them before anything is written.
+
+    Parameters
+    ----------
+    paths : sequence of Path
+    artefact : Artefact
+    vehicle : str or Path, optional
+        Vehicle file for all of them; else see `choose_vehicle`.
+    channel_map : ChannelMap, optional
+    output : Path, optional
+        Folder the estimates will go to: none of them may overwrite an input.
+    progress : callable, optional
+        Called for each log that is read.
+
+    Raises
+    ------
+    UsageError
+        A log is broken or plainly in wrong units, two have one name, or an output would overwrite an input.
+    """
+    by_name: dict[str, Path] = {}
+    for path in paths:
+        if path.is_dir():
+            raise UsageError(f"{path}: is a folder: name the logs in it")
+        name = log_name(path)
+        if name in by_name:
+            raise UsageError(f"{path}: has the same name as {by_name[name]}: estimate them in two calls")
+        by_name[name] = path
+    if output is not None:
+        refuse_overwriting(paths, (output / f"{name}{end}" for name in by_name for end in OUTPUTS))
+    opened = []
+    for path in paths:
+        opened.append(_open_log(path, artefact, vehicle, channel_map))
+        if progress is not None:
+            progress()
+    return opened
+
+
+def _open_log(
+    path: Path, artefact: Artefact, vehicle: str | Path | None, channel_map: ChannelMap | None
+) -> OpenedLog:
+    signals = read_log(path, channel_map)
+    car, origin, warning = choose_vehicle(path, vehicle, artefact)
+    if warning:  # the generic car stands in
+        require_road_wheel_angle(signals)
+    warnings = [*([warning] if warning else []), *require_plausible(signals, car)]
+    return OpenedLog(path, signals, car, origin, tuple(warnings))
+
+
+def choose_vehicle(log: Path, given: str | Path | None, artefact: Artefact) -> tuple[Vehicle, str, str]:
+    """Find the vehicle of a log: given, beside the log, in the artefact, or the generic car.
+
+    Returns
+    -------
+    vehicle : Vehicle
+    origin : str
+        Where it came from, for the record.
+    warning : str
+        What the user must know about it; empty when all is well.
+    """
+    if given is not None:
+        return load_vehicle(given), str(given), ""
+    beside = log.parent / "vehicle.toml"
+    if beside.exists():
+        return load_vehicle(beside), str(beside), ""
+    if artefact.vehicle is not None:
+        return artefact.vehicle, "artefact", ""
+    warning = (
+        f"{log}: no vehicle file: the generic compact car is taken, its beta can be far off: "
+        f"give --vehicle, or write vehicle.toml beside the log with `crosscomb vehicle`"
+    )
+    return load_vehicle(GENERIC), GENERIC, warning
+
+
+def require_road_wheel_angle(signals: Signals) -> None:
+    """Refuse a log that has only the hand-wheel angle when the car, and so its steering ratio, is unknown.
+
+    Raises
+    ------
+    UsageError
+    """
+    if not signals.has("steer"):
+        raise UsageError(
+            f"{signals.source}: column steer is missing and steer_wheel needs the car's steering ratio: "
+            f"give --vehicle, or map steer with scale = 1 / ratio (--map)"
+        )
+
+
+def require_plausible(signals: Signals, vehicle: Vehicle) -> list[str]:
+    """Refuse a log whose units or signs are plainly wrong; give the warnings about what merely looks odd.
+
+    Raises
+    ------
+    UsageError
+    """
+    findings = check_units(signals, vehicle)
+    for finding in findings:
+        if finding.severity == "error":
+            raise UsageError(f"{signals.source}: column {finding.column}: {finding.message}")
+    return [
+        f"{signals.source}: column {finding.column}: {finding.message}"
+        for finding in findings
+        if finding.column not in REFERENCES
+    ]
+
+
+def write_table(table: pd.DataFrame, path: Path) -> None:
+    """Write a table of an estimate, whole or not at all; its numbers come back exactly, NaN as an empty cell."""
+    # By hand in half the time that pandas takes: no cell holds anything that must be quoted.
+    names = [str(name) for name in table.columns]
+    columns = [map(_cell if table[name].dtype == float else str, table[name].tolist()) for name in names]
+    rows = map(",".join, zip(*columns, strict=True))
+    write_text(path, "\n".join([",".join(names), *rows]) + "\n")
+
+
+def _cell(value: float) -> str:
+    return repr(value) if value == value else ""
+
+
+def write_estimate(estimate: LogEstimate, path: Path) -> None:
+    """Write the estimate file."""
+    write_table(estimate.table(), path)

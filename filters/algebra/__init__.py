@@ -1,0 +1,1 @@
+"""Arithmetic that filters of several models share."""

@@ -1,0 +1,1 @@
+"""Estimators on the kinematic model: accelerometers and yaw rate integrated, no tyres."""

@@ -1,0 +1,1 @@
+"""Estimators on the planar model, state [u, v, r]."""

@@ -1,0 +1,1 @@
+"""Estimators whose axle forces are states that only noise drives."""

@@ -1,0 +1,1 @@
+"""The kernels' twins, slow and plain, on filterpy: what they are tested against."""

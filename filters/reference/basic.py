@@ -1,0 +1,284 @@
+"""The three filters once more, slow and plain, on filterpy's classes: what the kernels are tested against.
+
+The models are the same functions, so no formula stands here twice; prediction, update and resampling are
+filterpy's. Only tests and benchmarks use this module; `estimate` never imports filterpy.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from filterpy.kalman import ExtendedKalmanFilter, KalmanFilter
+from filterpy.monte_carlo import systematic_resample
+
+from crosscomb.filters import base
+from crosscomb.filters.base import Estimate, Inputs
+from crosscomb.filters.kinematic.kf import (
+    MOST_ACCEL,
+    MOST_BIAS,
+    MOST_YAW_RATE,
+    KinematicKF,
+    rolling_measurement,
+)
+from crosscomb.filters.random_walk.pf import FAR_OFF, FIRST_SPREAD, MOST_DOUBT, RandomWalkPF
+from crosscomb.filters.single_track.ekf import DynamicEKF
+from crosscomb.models.kinematic import input_gain, rotation
+from crosscomb.models.single_track import SingleTrack, body_rates, single_track_rates, stable_substeps
+from crosscomb.signals import MIN_SPEED
+
+
+class BiasedKalman(KalmanFilter):
+    """filterpy's filter with the states and the noise of `KinematicKF`: vx, vy and the accelerometer biases."""
+
+    def __init__(self, noise: Any, dt: float) -> None:
+        super().__init__(dim_x=4, dim_z=1, dim_u=2)
+        self.noise, self.dt = noise, dt
+        self.x, self.P = np.zeros((4, 1)), noise.accel_bias**2 * np.eye(4)
+        self.keep = np.diag([1.0, 1.0, *[math.exp(-dt / noise.bias_time)] * 2])
+        self.drift = noise.accel_bias**2 * (np.eye(4) - self.keep**2)
+
+    def rest(self) -> None:
+        """Let the biases drift over a sample without motion."""
+        self.predict(u=np.zeros((2, 1)), B=np.zeros((4, 2)), F=self.keep, Q=self.drift)
+
+    def begin(self, sample: np.ndarray, beta: float, beta_std: float) -> None:
+        """Start the motion on a sample."""
+        vx = sample[base.VX]
+        self.x[:2] = [[vx], [vx * math.tan(beta)]]
+        self.P[:2, :] = self.P[:, :2] = 0.0
+        self.P[0, 0], self.P[1, 1] = self.noise.speed**2, (vx * beta_std) ** 2
+
+    def move(self, sample: np.ndarray) -> None:
+        """Predict over a sample."""
+        ax, ay, yaw_rate = sample[[base.AX, base.AY, base.YAW_RATE]].tolist()
+        known = abs(ax) < MOST_ACCEL and abs(ay) < MOST_ACCEL and abs(yaw_rate) < MOST_YAW_RATE
+        if not known:
+            ax, ay, yaw_rate = 0.0, 0.0, 0.0
+        gain, f = np.zeros((4, 2)), self.keep.copy()
+        gain[:2] = np.reshape(input_gain(yaw_rate, self.dt), (2, 2))
+        f[:2, :2] = np.reshape(rotation(yaw_rate, self.dt), (2, 2))
+        if known:
+            f[:, 2:] -= gain
+        density = self.noise.accel if known else self.noise.missing_accel
+        across = math.hypot(density, self.noise.ay_scale * ay)
+        added = self.drift + self.dt * np.diag([density, across, 0.0, 0.0]) ** 2
+        self.predict(u=np.array([[ax], [ay]]), B=gain, F=f, Q=added)
+
+    def measure(self, row: list[float], value: float, variance: float) -> float:
+        """Update with a measurement of vx and vy; give its NIS."""
+        self.update(value, R=np.array([[variance]]), H=np.array([[*row, 0.0, 0.0]]))
+        return _nis(self)
+
+    def measure_speed(self, sample: np.ndarray) -> float:
+        """Update with vx, where it is there; give its NIS."""
+        if sample[base.VX_HELD]:
+            self.x[0] = max(self.x[0], MIN_SPEED)
+            return math.nan
+        return self.measure([1.0, 0.0], sample[base.VX], self.noise.speed**2)
+
+    def limit_slip(self) -> None:
+        """Hold the velocity inside its bounds."""
+        self.x[0] = max(self.x[0], 0.5 * MIN_SPEED)
+        most = math.tan(base.MAX_BETA) * self.x[0]
+        self.x[1] = np.clip(self.x[1], -most, most)
+
+    def limit_biases(self) -> None:
+        """Hold the biases inside their bounds."""
+        most = MOST_BIAS * self.noise.accel_bias
+        self.x[2:] = np.clip(self.x[2:], -most, most)
+
+
+def slip_of(kf: KalmanFilter | ExtendedKalmanFilter) -> tuple[float, float]:
+    """Sideslip angle of a filter whose first states are vx and vy, and its standard deviation [rad]."""
+    vx, vy = np.ravel(kf.x)[:2]
+    gradient = np.array([-vy, vx]) / (vx**2 + vy**2)
+    return math.atan2(vy, vx), math.sqrt(gradient @ kf.P[:2, :2] @ gradient)
+
+
+def reference_kinematic_kf(estimator: KinematicKF, inputs: Inputs) -> Estimate:
+    """Estimate a log as `KinematicKF.run` does, with filterpy's KalmanFilter.
+
+    Parameters
+    ----------
+    estimator : KinematicKF
+    inputs : Inputs
+    """
+    noise, car, dt = estimator.noise, estimator.car, inputs.dt
+    kf = BiasedKalman(noise, dt)
+
+    def step(sample: np.ndarray) -> tuple[float, ...]:
+        innovations = [math.nan, math.nan]
+        kf.move(sample)
+        nis = kf.measure_speed(sample)
+        if math.isfinite(nis):
+            innovations[0] = kf.y.item()
+        kf.limit_slip()
+        h, rest, variance = rolling_measurement(sample, kf.x[0, 0], kf.x[3, 0], car, noise, dt)
+        if math.isfinite(variance):
+            kf.measure([h, 1.0], rest, variance)
+            innovations[1] = kf.y.item()
+        kf.limit_slip()
+        kf.limit_biases()
+        return *slip_of(kf), nis, *innovations
+
+    return _walk(inputs, car, kf.begin, step, kf.rest, estimator.extras)
+
+
+class _SingleTrackEKF(ExtendedKalmanFilter):
+    """filterpy's filter with a nonlinear prediction: `predict(u)` takes the predicted state itself."""
+
+    def predict_x(self, u: np.ndarray) -> None:
+        self.x = u
+
+
+def reference_dynamic_ekf(estimator: DynamicEKF, inputs: Inputs) -> Estimate:
+    """Estimate a log as `DynamicEKF.run` does, with filterpy's ExtendedKalmanFilter.
+
+    All measurements of a sample update at once here, one after the other in the kernel.
+
+    Parameters
+    ----------
+    estimator : DynamicEKF
+    inputs : Inputs
+    """
+    noise, car = estimator.noise, estimator.car
+    density = np.diag([noise.yaw_acceleration**2, noise.slip_rate**2])
+    ekf = _SingleTrackEKF(dim_x=2, dim_z=2)
+
+    def model(sample: np.ndarray) -> tuple[np.ndarray, float, np.ndarray]:
+        """Rates (2,), expected ay and the Jacobian (4, 2) of the rates, ax and ay at the filter's state."""
+        vx, ax, ay, _, steer, steer_rear, fxf, fxr, *_ = sample.tolist()
+        yaw_rate, beta = ekf.x.tolist()
+        ax, ay = (value if math.isfinite(value) else 0.0 for value in (ax, ay))
+        rates, (_, expected_ay), jacobian = single_track_rates(
+            yaw_rate, beta, vx, steer, steer_rear, fxf, fxr, ax, ay, car
+        )
+        return np.array(rates), expected_ay, np.array(jacobian).reshape(2, 4).T
+
+    def hold_beta() -> None:
+        ekf.x[1] = min(max(ekf.x[1], -base.MAX_BETA), base.MAX_BETA)
+
+    def start(sample: np.ndarray, beta: float, beta_std: float) -> None:
+        ekf.x = np.array([np.nan_to_num(sample[base.YAW_RATE]), beta])
+        ekf.P = np.diag([noise.yaw_rate**2, beta_std**2])
+
+    def step(sample: np.ndarray) -> tuple[float, ...]:
+        steps = stable_substeps(sample[base.VX], inputs.dt, car)
+        h = inputs.dt / steps
+        wrong_force = noise.missing_steer * sample[base.STEER_HELD] * car.stiffness_front
+        ekf.Q = h * density
+        if wrong_force > 0.0:
+            wrong = wrong_force * np.array([car.a / car.yaw_inertia, 1.0 / (car.mass * sample[base.VX])])
+            ekf.Q += h * np.outer(wrong, wrong)
+        for _ in range(steps):
+            rates, _, jacobian = model(sample)
+            ekf.F = np.eye(2) + h * jacobian[:2]
+            ekf.predict(ekf.x + h * rates)
+            hold_beta()
+        z = sample[[base.YAW_RATE, base.AY]]
+        there, innovations = np.isfinite(z), np.full(2, np.nan)
+        if not there.any():
+            return ekf.x[1], math.sqrt(ekf.P[1, 1]), math.nan, *innovations
+        _, expected_ay, jacobian = model(sample)
+        expected = np.array([ekf.x[0], expected_ay])[there]
+        h_matrix = np.array([[1.0, 0.0], jacobian[3]])[there]
+        variance = np.diag([noise.yaw_rate**2, noise.ay**2 + (wrong_force / car.mass) ** 2])[there][:, there]
+        ekf.update(z[there], lambda _: h_matrix, lambda _: expected, R=variance)
+        innovations[there] = ekf.y
+        hold_beta()
+        return ekf.x[1], math.sqrt(ekf.P[1, 1]), _nis(ekf), *innovations
+
+    return _walk(inputs, car, start, step, extras=estimator.extras)
+
+
+def reference_random_walk_pf(estimator: RandomWalkPF, inputs: Inputs) -> Estimate:
+    """Estimate a log with the model and noise of `RandomWalkPF`, in plain numpy with filterpy's resampling.
+
+    The random numbers are others than the kernel's, so the two agree within the scatter of their seeds.
+    filterpy draws from numpy's global generator, which is seeded here.
+
+    Parameters
+    ----------
+    estimator : RandomWalkPF
+    inputs : Inputs
+    """
+    noise, car, dt, n = estimator.noise, estimator.car, inputs.dt, estimator.particles
+    ekf = reference_dynamic_ekf(DynamicEKF(estimator.vehicle, noise.ekf, estimator.tyre), inputs)
+    inputs = Inputs(dt, np.column_stack([inputs.samples, ekf.beta, ekf.beta_std]))
+    np.random.seed(estimator.seed)  # noqa: NPY002
+    rng = np.random.default_rng(estimator.seed)
+    scale = np.array([1.0, 1.0, *[car.mass] * 4])
+    walk = scale * [noise.yaw_acceleration, noise.slip_rate, *[noise.force] * 4] * np.sqrt(dt)
+    x, weights = np.empty((6, n)), np.empty(n)
+
+    def start(sample: np.ndarray, beta: float, beta_std: float) -> None:
+        yaw_rate, side = np.nan_to_num(sample[[base.YAW_RATE, base.AY]])
+        axles = car.mass * side * np.array([car.b, car.a]) / (car.a + car.b)
+        centre = np.array([yaw_rate, beta, sample[base.FXF], sample[base.FXR], *axles])
+        half = scale * FIRST_SPREAD
+        x[:] = rng.uniform((centre - half)[:, None], (centre + half)[:, None], (6, n))
+        weights[:] = 1.0 / n
+
+    def step(sample: np.ndarray) -> tuple[float, float, float]:
+        # Uniform noise of unit variance is sqrt(3) wide to either side.
+        random = walk[:, None] * rng.uniform(-np.sqrt(3.0), np.sqrt(3.0), (6, n))
+        x[2:] += random[2:]
+        steer, steer_rear = sample[[base.STEER, base.STEER_REAR]]
+        yaw_acceleration, beta_rate, ax, ay = body_rates.py_func(
+            x[2], x[3], x[4], x[5], sample[base.VX], x[0],
+            np.cos(steer), np.sin(steer), np.cos(steer_rear), np.sin(steer_rear), np.cos(x[1]), np.sin(x[1]),
+            car.mass, car.yaw_inertia, car.a, car.b,
+        )  # fmt: skip
+        x[0] += dt * yaw_acceleration + random[0]
+        x[1] = np.clip(x[1] + dt * beta_rate + random[1], -base.MAX_BETA, base.MAX_BETA)
+        measured = sample[[base.YAW_RATE, base.AX, base.AY, base.SAMPLE_WIDTH]]
+        slip_variance = (noise.pseudo**2 + min(sample[base.SAMPLE_WIDTH + 1], MOST_DOUBT) ** 2) / dt
+        variances = np.array([noise.yaw_rate**2, noise.accel**2, noise.accel**2, slip_variance])
+        misfit = 0.5 * (np.stack([x[0], ax, ay, x[1]]).T - measured) ** 2 / variances
+        misfit[:, :3] = np.minimum(misfit[:, :3], FAR_OFF)
+        log_likelihood = -misfit[:, np.isfinite(measured)].sum(axis=1)
+        weights[:] *= np.exp(log_likelihood - log_likelihood.max())
+        weights[:] /= weights.sum()
+        beta = weights @ x[1]
+        beta_std = np.sqrt(weights @ (x[1] - beta) ** 2)
+        if 1.0 / (weights @ weights) < 0.5 * n:
+            x[:] = x[:, systematic_resample(weights)]
+            weights[:] = 1.0 / n
+        return beta, beta_std, np.nan
+
+    return _walk(inputs, car, start, step)
+
+
+def _walk(
+    inputs: Inputs,
+    car: SingleTrack,
+    start: Callable[[np.ndarray, float, float], None],
+    step: Callable[[np.ndarray], tuple[float, ...]],
+    rest: Callable[[], None] = lambda: None,
+    extras: tuple[str, ...] = (),
+) -> Estimate:
+    """Give the rolling answer until a sample above the gate starts the filter, then the filter's own.
+
+    `rest` is called at each sample that gets the rolling answer; `extras` names what a step gives behind the NIS.
+    """
+    out = np.full((len(inputs.samples), 3 + len(extras)), np.nan)
+    running = False
+    for sample, answer in zip(inputs.samples, out, strict=True):
+        if running and not base.below_gate(sample):
+            answer[:] = step(sample)
+            continue
+        base.low_speed_answer(sample, car, answer)
+        rest()
+        running = not base.below_gate(sample)
+        if running:
+            start(sample, answer[base.BETA], answer[base.BETA_STD])
+    beta, beta_std, nis, *extra = out.T
+    return Estimate(beta, beta_std, nis, dict(zip(extras, extra, strict=True)))
+
+
+def _nis(kf: KalmanFilter | ExtendedKalmanFilter) -> float:
+    innovation = kf.y.ravel()
+    return float(innovation @ kf.SI @ innovation)

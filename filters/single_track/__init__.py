@@ -1,0 +1,1 @@
+"""Estimators on the single track with tyres, state [yaw_rate, beta]."""

@@ -1,0 +1,166 @@
+"""Particle filter on the nonlinear single-track model.
+
+State [yaw_rate, beta]; weights from yaw rate and ay (Atheupe 2023, eq. 22 and 23, corrected, and section 7.3;
+D'Inverno 2021, section 2.2 and eq. 3, with the three resampling schemes compared there). Model and noise are those of
+`crosscomb.filters.single_track.ekf`, which is right where this one is; it does not linearise the tyres, which helps
+where the spread of beta is as wide as their bend.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any, ClassVar, NamedTuple
+
+import numpy as np
+from numba import njit
+
+from crosscomb.filters.algebra.particles import (
+    RESAMPLE_BELOW,
+    UNIFORM,
+    cloud,
+    draw_uniform,
+    normalise,
+    weighted_beta,
+)
+from crosscomb.filters.algebra.resampling import RESAMPLING, resample
+from crosscomb.filters.base import (
+    AX,
+    AY,
+    BETA,
+    BETA_STD,
+    FXF,
+    FXR,
+    MAX_BETA,
+    NIS,
+    STEER,
+    STEER_HELD,
+    STEER_REAR,
+    VX,
+    YAW_RATE,
+    KernelFilter,
+    below_gate,
+    low_speed_answer,
+)  # fmt: skip
+from crosscomb.filters.single_track.ekf import DynamicNoise
+from crosscomb.models.compiled import kernel
+from crosscomb.models.single_track import single_track_rates, stable_substeps
+
+
+class SingleTrackParticles(NamedTuple):
+    """State of the filter, changed in place by its kernel."""
+
+    x: np.ndarray  # (2, n) yaw_rate, beta
+    log_weights: np.ndarray  # (n,) up to a constant
+    weights: np.ndarray  # (n,) sum to one
+    scratch: np.ndarray  # (2, n)
+    source: np.ndarray  # (n,) int64, which particle each new one copied last
+    scheme: int  # of resampling
+    rng: np.random.Generator
+    running: np.ndarray  # (1,) 1 above the low-speed gate
+
+
+@kernel
+def first_slips(state, yaw_rate, beta, beta_std, noise):
+    """Spread the particles uniformly, as wide as the Kalman filter's first covariance."""
+    x, wide_yaw, wide_beta = state.x, UNIFORM * noise.yaw_rate, UNIFORM * beta_std
+    for i in range(x.shape[1]):
+        x[0, i] = yaw_rate + wide_yaw * (state.rng.random() - 0.5)
+        x[1, i] = beta + wide_beta * (state.rng.random() - 0.5)
+    state.log_weights[:] = 0.0
+
+
+@kernel
+def wrong_steer(sample, car, noise):
+    """Error of the front axle's force by a held steering angle [N]; lasts about a second (see `DynamicNoise`)."""
+    return noise.missing_steer * sample[STEER_HELD] * car.stiffness_front
+
+
+@kernel
+def move_slips(state, sample, car, noise, dt):
+    """Predict every particle over dt by Euler steps, as many as keep the stiff low-speed modes stable."""
+    x, draws, rng = state.x, state.scratch, state.rng
+    draw_uniform(rng, draws)
+    vx, root, force = sample[VX], math.sqrt(dt), wrong_steer(sample, car, noise)
+    ax = sample[AX] if math.isfinite(sample[AX]) else 0.0
+    ay = sample[AY] if math.isfinite(sample[AY]) else 0.0
+    yaw_by_force, slip_by_force = car.a / car.yaw_inertia, 1.0 / (car.mass * vx)
+    steps = stable_substeps(vx, dt, car)
+    for i in range(x.shape[1]):
+        yaw_rate, beta = x[0, i], x[1, i]
+        for _ in range(steps):
+            rates, _, _ = single_track_rates(
+                yaw_rate, beta, vx, sample[STEER], sample[STEER_REAR], sample[FXF], sample[FXR], ax, ay, car
+            )
+            yaw_rate += dt / steps * rates[0]
+            beta = min(max(beta + dt / steps * rates[1], -MAX_BETA), MAX_BETA)
+        wrong = force * UNIFORM * (rng.random() - 0.5) if force > 0.0 else 0.0
+        yaw_rate += root * (noise.yaw_acceleration * draws[0, i] + yaw_by_force * wrong)
+        beta += root * (noise.slip_rate * draws[1, i] + slip_by_force * wrong)
+        x[0, i], x[1, i] = yaw_rate, min(max(beta, -MAX_BETA), MAX_BETA)
+
+
+@kernel
+def weigh_slips(state, sample, car, noise):
+    """Add the log likelihood of the yaw rate and ay that are there to the log weights."""
+    x, log_weights = state.x, state.log_weights
+    ax = sample[AX] if math.isfinite(sample[AX]) else 0.0
+    wrong_ay = wrong_steer(sample, car, noise) / car.mass
+    if math.isfinite(sample[YAW_RATE]):
+        precision = 0.5 / noise.yaw_rate**2
+        for i in range(log_weights.size):
+            log_weights[i] -= precision * (sample[YAW_RATE] - x[0, i]) ** 2
+    if math.isfinite(sample[AY]):
+        precision = 0.5 / (noise.ay**2 + wrong_ay**2)
+        for i in range(log_weights.size):
+            _, measured, _ = single_track_rates(
+                x[0, i], x[1, i], sample[VX], sample[STEER], sample[STEER_REAR],
+                sample[FXF], sample[FXR], ax, sample[AY], car,
+            )  # fmt: skip
+            log_weights[i] -= precision * (sample[AY] - measured[1]) ** 2
+
+
+@njit(cache=True)
+def dynamic_particle_step(state, sample, car, noise, dt, out):
+    """One sample of the filter; `out` ``(3,)`` gets beta, its standard deviation and NaN."""
+    if below_gate(sample) or state.running[0] == 0:
+        low_speed_answer(sample, car, out)
+        state.running[0] = 0 if below_gate(sample) else 1
+        if state.running[0] == 1:
+            yaw_rate = sample[YAW_RATE] if math.isfinite(sample[YAW_RATE]) else 0.0
+            first_slips(state, yaw_rate, out[BETA], out[BETA_STD], noise)
+        return
+    move_slips(state, sample, car, noise, dt)
+    weigh_slips(state, sample, car, noise)
+    effective = normalise(state.log_weights, state.weights)
+    out[BETA], out[BETA_STD] = weighted_beta(state)
+    out[NIS] = math.nan
+    if effective < RESAMPLE_BELOW * state.weights.size:
+        resample(state)
+
+
+@njit(cache=True)
+def dynamic_particle_run(state, samples, car, noise, dt, out):
+    """All samples of the filter."""
+    for k in range(samples.shape[0]):
+        dynamic_particle_step(state, samples[k], car, noise, dt, out[k])
+
+
+@dataclass(frozen=True)
+class DynamicPF(KernelFilter):
+    """Single-track particle filter of one vehicle."""
+
+    noise: DynamicNoise = DynamicNoise()
+    particles: int = 1000
+    resampling: str = "systematic"
+    seed: int = 0
+
+    choices: ClassVar = {**KernelFilter.choices, "resampling": tuple(RESAMPLING)}
+    step_kernel = staticmethod(dynamic_particle_step)
+    run_kernel = staticmethod(dynamic_particle_run)
+
+    def make_state(self) -> Any:
+        """Make the particles before the first sample."""
+        return SingleTrackParticles(
+            **cloud(2, self.particles, self.resampling, self.seed), running=np.zeros(1, dtype=np.int64)
+        )

@@ -1,0 +1,281 @@
+"""Extended Kalman filters with the rates as states, and with tyre parameters to adapt: LINT, RATT, RATTE.
+
+Di Biase 2020: state [beta, yaw_rate, beta_rate, yaw_acceleration] and behind it the cornering stiffnesses
+(LINT, eq. 21), nothing (RATT, eq. 46), or the rational parameters (RATTE, eq. 53); measurements yaw rate and
+ay (eq. 38). beta and yaw rate move on with their rates, and the tyres give the next rates:
+
+    beta_k+1 = beta_k + beta_rate_k dt          beta_rate_k+1 = f(beta_k, yaw_rate_k, steer, parameters_k)
+    yaw_rate_k+1 = yaw_rate_k + yaw_acc_k dt    yaw_acc_k+1 = g(beta_k, yaw_rate_k, steer, parameters_k)
+
+Departures: f and g are those of the single track without small angles; eq. 39 is corrected for angle and
+braking (`lateral_acceleration`); the Jacobians are derived anew (the printed appendix mixes indices); noise
+is a density.
+
+When and how far parameters adapt: `crosscomb.filters.single_track.adaptation`.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, ClassVar, NamedTuple
+
+import numpy as np
+
+from crosscomb.filters.algebra.leading import consider_update, propagate_leading
+from crosscomb.filters.base import (
+    AX,
+    AY,
+    BETA,
+    BETA_STD,
+    FXF,
+    FXR,
+    MAX_BETA,
+    NIS,
+    STEER,
+    STEER_HELD,
+    STEER_REAR,
+    VX,
+    YAW_RATE,
+    KernelFilter,
+    below_gate,
+    low_speed_answer,
+)  # fmt: skip
+from crosscomb.filters.single_track.adaptation import Limits, TyreCar, excited, growth, parameter_limits
+from crosscomb.models.compiled import inlined, kernel
+from crosscomb.models.parameter_track import (
+    BETA_RATE,
+    BY_PARAMETER,
+    BY_STEER,
+    LAWS,
+    SLOPES_SHAPE,
+    YAW_ACCELERATION,
+    lateral_acceleration,
+    parameter_track_rates,
+)
+from crosscomb.models.single_track import single_track, stable_substeps
+
+RATES = 4
+"""States before the tyre parameters."""
+
+MAX_STATE = (MAX_BETA, 5.0, 10.0, 100.0)
+"""What no car reaches [rad, rad/s, rad/s, rad/s^2]: states are held inside."""
+
+FIRST_RATES_STD = (0.2, 0.5)
+"""Standard deviation of beta_rate and yaw_acceleration at the start [rad/s, rad/s^2]."""
+
+
+class TyreNoise(NamedTuple):
+    """Noise settings of LINT, RATT and RATTE; process densities, so that they hold at every rate.
+
+    The settings that begin with parameter and adapt do nothing in RATT.
+    """
+
+    steer: float = 0.002  # error of the steering angle, acting through the front tyres [rad per sqrt(Hz)]
+    yaw_acceleration: float = 0.3  # model error [rad/s^2 per sqrt(Hz)]
+    slip_rate: float = 0.01  # model error [rad/s per sqrt(Hz)]
+    yaw_rate: float = 0.02  # measured yaw rate [rad/s]
+    ay: float = 1.5  # measured ay, with bank and what the tyre law gets wrong [m/s^2]
+    missing_steer: float = 0.06  # error of a held steering angle, lasting about a second [rad]
+    parameter_walk: float = 0.01  # change of a tyre parameter, in shares of its first value [per sqrt(s)]
+    parameter_spread: float = 0.08  # standard deviation at the start, in shares of the first value
+    parameter_range: float = 2.0  # a stiffness stays within this factor of its first value, either way
+    adapt_ay: float = 1.5  # parameters adapt above this measured |ay| [m/s^2]
+    adapt_speed: float = 6.0  # and above this speed [m/s]
+
+
+class TyreState(NamedTuple):
+    """Estimate and scratch; n states, p parameters, changed in place by the kernels."""
+
+    mean: np.ndarray  # (4 + p,) RATT has its constant parameters here too
+    cov: np.ndarray  # (n, n) n = 4 without and 4 + p with adaptation
+    limits: Limits
+    running: np.ndarray  # (1,) 1 above the low-speed gate, 0 below
+    slopes: np.ndarray  # (3, 7)
+    by: np.ndarray  # (4, 2)
+    rows: np.ndarray  # (4, n)
+    work: np.ndarray  # (4, n)
+    vectors: np.ndarray  # (3, n) measurement row and scratch
+
+
+def make_tyre_state(limits: Limits, adapting: bool) -> TyreState:
+    """Make an unstarted filter."""
+    n = RATES + (len(limits.first) if adapting else 0)
+    cov = np.zeros((n, n))
+    cov[range(RATES, n), range(RATES, n)] = limits.spread[: n - RATES] ** 2
+    return TyreState(
+        mean=np.concatenate([np.zeros(RATES), limits.first]),
+        cov=cov,
+        limits=limits,
+        running=np.zeros(1, dtype=np.int64),
+        slopes=np.zeros(SLOPES_SHAPE),
+        by=np.zeros((4, 2)),
+        rows=np.zeros((RATES, n)),
+        work=np.zeros((RATES, n)),
+        vectors=np.zeros((3, n)),
+    )
+
+
+@inlined
+def tyre_start(state, sample, beta, beta_std, noise):
+    """Start beta, yaw rate and the rates anew; the parameters stay as they were learned."""
+    mean, cov = state.mean, state.cov
+    mean[0] = beta
+    mean[1] = sample[YAW_RATE] if math.isfinite(sample[YAW_RATE]) else 0.0
+    mean[2] = mean[3] = 0.0
+    cov[:RATES, :] = 0.0
+    cov[:, :RATES] = 0.0
+    cov[0, 0], cov[1, 1] = beta_std**2, noise.yaw_rate**2
+    cov[2, 2], cov[3, 3] = FIRST_RATES_STD[0] ** 2, FIRST_RATES_STD[1] ** 2
+
+
+@inlined
+def tyre_predict(state, sample, car, noise, dt, adapting):
+    """Predict over dt by Euler steps, so many that the rates, which lag a step behind, stay stable."""
+    mean, cov, slopes, rows, limits = state.mean, state.cov, state.slopes, state.rows, state.limits
+    n = cov.shape[0]
+    ax = sample[AX] if math.isfinite(sample[AX]) else 0.0
+    ay = sample[AY] if math.isfinite(sample[AY]) else 0.0
+    angle = noise.steer**2 + (noise.missing_steer * sample[STEER_HELD]) ** 2
+    steps = stable_substeps(sample[VX], 2.0 * dt, car.track)
+    h = dt / steps
+    for _ in range(steps):
+        beta_rate, yaw_acceleration, _ = parameter_track_rates(
+            mean[1], mean[0], sample[VX], sample[STEER], sample[STEER_REAR], sample[FXF], sample[FXR], ax, ay,
+            car.law, mean[RATES:], car.track, state.by, slopes,
+        )  # fmt: skip
+        rows[0, 0] = rows[1, 1] = 1.0
+        rows[0, 2] = rows[1, 3] = h
+        for i in range(2):
+            rows[2, i], rows[3, i] = slopes[BETA_RATE, i], slopes[YAW_ACCELERATION, i]
+        for i in range(RATES, n):
+            rows[2, i] = slopes[BETA_RATE, BY_PARAMETER + i - RATES]
+            rows[3, i] = slopes[YAW_ACCELERATION, BY_PARAMETER + i - RATES]
+        propagate_leading(cov, rows, state.work)
+        # White noise of the rates: over h it must give beta and yaw rate its density times h.
+        by_slip, by_yaw = slopes[BETA_RATE, BY_STEER], slopes[YAW_ACCELERATION, BY_STEER]
+        cov[2, 2] += (angle * by_slip**2 + noise.slip_rate**2) / h
+        cov[3, 3] += (angle * by_yaw**2 + noise.yaw_acceleration**2) / h
+        cov[2, 3] += angle * by_slip * by_yaw / h
+        cov[3, 2] = cov[2, 3]
+        mean[0] += h * mean[2]
+        mean[1] += h * mean[3]
+        mean[2], mean[3] = beta_rate, yaw_acceleration
+        hold_rates(mean)
+    for i in range(RATES, n):
+        p = i - RATES
+        if adapting:
+            cov[i, i] += growth(cov[i, i], limits.walk[p], limits.spread[p], dt)
+
+
+@inlined
+def hold_rates(mean):
+    """Hold beta, yaw rate and their rates inside `MAX_STATE`."""
+    for i in range(RATES):
+        mean[i] = min(max(mean[i], -MAX_STATE[i]), MAX_STATE[i])
+
+
+@inlined
+def tyre_update(state, sample, noise, free):
+    """Update the first `free` states with yaw rate and ay, as far as they are there; give the NIS."""
+    mean, cov = state.mean, state.cov
+    row, gain, crossed = state.vectors[0], state.vectors[1], state.vectors[2]
+    ax = sample[AX] if math.isfinite(sample[AX]) else 0.0
+    beta, yaw_rate, beta_rate = mean[0], mean[1], mean[2]
+    nis = math.nan
+    if math.isfinite(sample[YAW_RATE]):
+        row[:] = 0.0
+        row[1] = 1.0
+        nis = consider_update(
+            mean, cov, row, sample[YAW_RATE] - yaw_rate, noise.yaw_rate**2, free, gain, crossed
+        )
+    if math.isfinite(sample[AY]):
+        expected, by_beta, by_rate = lateral_acceleration(beta, yaw_rate, beta_rate, sample[VX], ax)
+        # The yaw rate has moved the state: same Jacobian, so the two equal one joint update.
+        expected += by_beta * (mean[0] - beta) + by_rate * (mean[1] - yaw_rate + mean[2] - beta_rate)
+        row[:] = 0.0
+        row[0], row[1], row[2] = by_beta, by_rate, by_rate
+        part = consider_update(mean, cov, row, sample[AY] - expected, noise.ay**2, free, gain, crossed)
+        nis = part if math.isnan(nis) else nis + part
+    hold_rates(mean)
+    for i in range(RATES, free):
+        mean[i] = min(max(mean[i], state.limits.least[i - RATES]), state.limits.most[i - RATES])
+    return nis
+
+
+@inlined
+def tyre_step(state, sample, car, noise, dt, out):
+    """One sample; `out` ``(3 + extras,)`` gets beta, its std, the NIS and adapted parameters."""
+    mean, cov = state.mean, state.cov
+    for i in range(3, out.shape[0]):
+        out[i] = mean[RATES + i - 3]
+    if below_gate(sample):
+        low_speed_answer(sample, car.track, out)
+        state.running[0] = 0
+        return
+    if state.running[0] == 0:
+        low_speed_answer(sample, car.track, out)
+        tyre_start(state, sample, out[BETA], out[BETA_STD], noise)
+        state.running[0] = 1
+        return
+    adapting = excited(sample, noise)
+    tyre_predict(state, sample, car, noise, dt, adapting)
+    out[NIS] = tyre_update(state, sample, noise, cov.shape[0] if adapting else RATES)
+    out[BETA] = mean[0]
+    out[BETA_STD] = math.sqrt(cov[0, 0])
+    for i in range(3, out.shape[0]):
+        out[i] = mean[RATES + i - 3]
+
+
+@kernel
+def tyre_run(state, samples, car, noise, dt, out):
+    """All samples."""
+    for k in range(samples.shape[0]):
+        tyre_step(state, samples[k], car, noise, dt, out[k])
+
+
+@dataclass(frozen=True)
+class RATT(KernelFilter):
+    """Filter with fixed rational tyres that have the slope and the peak of the vehicle file."""
+
+    noise: TyreNoise = TyreNoise()
+    tyre: str = "rational"
+
+    step_kernel = staticmethod(tyre_step)
+    run_kernel = staticmethod(tyre_run)
+    choices: ClassVar[dict[str, tuple[str, ...]]] = {"tyre": ("rational",)}
+
+    @cached_property
+    def car(self) -> Any:
+        """The car and its tyre law."""
+        return TyreCar(single_track(self.vehicle, self.tyre), LAWS[self.tyre])
+
+    def make_state(self) -> TyreState:
+        """Make the kernels' state before the first sample; a filter with extra outputs adapts its tyres."""
+        return make_tyre_state(parameter_limits(self.car.law, self.car.track, self.noise), bool(self.extras))
+
+
+@dataclass(frozen=True)
+class RATTE(RATT):
+    """Filter that adapts its rational tyres."""
+
+    extras: ClassVar[tuple[str, ...]] = (
+        "c1_front [rad^2]",
+        "c2_front [N/rad]",
+        "c1_rear [rad^2]",
+        "c2_rear [N/rad]",
+    )
+
+
+@dataclass(frozen=True)
+class LINT(RATT):
+    """Filter that adapts its linear tyres."""
+
+    tyre: str = "linear"
+
+    choices: ClassVar[dict[str, tuple[str, ...]]] = {"tyre": ("linear",)}
+    extras: ClassVar[tuple[str, ...]] = (
+        "cornering_stiffness_front [N/rad]",
+        "cornering_stiffness_rear [N/rad]",
+    )

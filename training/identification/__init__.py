@@ -1,0 +1,1 @@
+"""A car's parameters and its sensors' errors, found in logs."""

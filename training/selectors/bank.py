@@ -1,0 +1,101 @@
+"""Run the bank of filters over many recordings."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from joblib import Parallel, delayed
+
+from crosscomb.filters.catalogue import make_filter
+from crosscomb.run.estimate import FilterRun, run_filters
+from crosscomb.selection.artefact import FilterSettings
+from crosscomb.selection.windows import WindowSettings
+from crosscomb.training.metrics import countable
+from crosscomb.training.recordings import Recording
+from crosscomb.training.selectors.labels import Windows, concatenate, label_run, oracle_beta
+
+
+@dataclass(frozen=True)
+class BankRun:
+    """All filters on one recording, at the working rate.
+
+    Attributes
+    ----------
+    recording : Recording
+    runs : list of FilterRun
+        One per segment of the log.
+    beta_ref : (n,) [rad]
+        Ground truth over all segments.
+    counted : (n,) bool
+        Samples that are scored.
+    """
+
+    recording: Recording
+    runs: list[FilterRun]
+    beta_ref: np.ndarray
+    counted: np.ndarray
+
+    def joined(self, part: Callable[[FilterRun], np.ndarray]) -> np.ndarray:
+        """Join what `part` gives of each segment over all segments."""
+        return np.concatenate([part(run) for run in self.runs])
+
+    def only(self, members: Sequence[int]) -> BankRun:
+        """Keep some of the filters, in the order given."""
+        return replace(self, runs=[run.only(members) for run in self.runs])
+
+    def oracle(self, length: int) -> np.ndarray:
+        """Estimate of the oracle ``(n,) [rad]``; see `crosscomb.training.selectors.labels.oracle_beta`."""
+        return self.joined(lambda run: oracle_beta(run, length))
+
+    def windows(self, settings: WindowSettings, everything: bool = False) -> Windows:
+        """Labelled windows of the recording; see `crosscomb.training.selectors.labels.label_run`."""
+        return concatenate([label_run(run, settings, everything) for run in self.runs])
+
+
+def run_one(
+    recording: Recording, filters: Sequence[FilterSettings], rate: float, window: WindowSettings
+) -> BankRun:
+    """Run all filters on one recording."""
+    made = [make_filter(entry.name, recording.vehicle, entry.settings) for entry in filters]
+    runs = run_filters(recording.signals, recording.vehicle, made, rate, window)
+    beta_ref = np.concatenate([run.segment.signals.beta_ref for run in runs])
+    vx = np.concatenate([run.segment.signals.column("vx") for run in runs])
+    return BankRun(recording, runs, beta_ref, countable(beta_ref, vx))
+
+
+def run_bank(
+    recordings: Sequence[Recording],
+    filters: Sequence[FilterSettings],
+    rate: float,
+    window: WindowSettings,
+    jobs: int = 1,
+    progress: Callable[[], None] | None = None,
+) -> list[BankRun]:
+    """Run all filters on all recordings, in parallel over recordings.
+
+    Parameters
+    ----------
+    recordings : sequence of Recording
+    filters : sequence of FilterSettings
+    rate : float [Hz]
+    window : WindowSettings
+    jobs : int
+        Processes; the result does not depend on it.
+    progress : callable, optional
+        Called after each recording.
+    """
+    made: Iterable[BankRun]
+    if jobs == 1:
+        made = (run_one(recording, filters, rate, window) for recording in recordings)
+    else:
+        made = Parallel(n_jobs=jobs, return_as="generator")(
+            delayed(run_one)(recording, filters, rate, window) for recording in recordings
+        )
+    results = []
+    for result in made:
+        results.append(result)
+        if progress is not None:
+            progress()
+    return results

@@ -1,0 +1,236 @@
+"""All selectors on the same recordings under the same rules, so that no figure flatters."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pandas as pd
+
+from crosscomb.filters.catalogue import DEFAULT_FILTERS
+from crosscomb.selection.windows import WindowSettings, window_features
+from crosscomb.training.folds import grouped_folds
+from crosscomb.training.recordings import CARD, Recording, common_vehicle
+from crosscomb.training.selectors.bank import BankRun, run_bank
+from crosscomb.training.selectors.evaluate import SWITCH, Evaluation, evaluate, pool, score_filters
+from crosscomb.training.selectors.fit import SELECTORS, STATISTICS, Fitter
+from crosscomb.training.selectors.fit_tree import fit_tree, to_tree
+from crosscomb.training.selectors.labels import concatenate
+from crosscomb.training.selectors.train import default_filters, fit_all
+
+REFERENCES = ("imm", "mmae")
+"""Published ways to combine models, run beside the selectors as they are."""
+
+DRAWS = 2000
+"""Bootstrap samples of recordings."""
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Selectors side by side.
+
+    Attributes
+    ----------
+    summary : pandas.DataFrame
+        One row per selector and scheme: ratio to the best single filter with its 95 % interval over recordings, RMSE,
+        regret, largest errors, coverage, switches.
+    references : pandas.DataFrame
+        Mean RMSE and largest error of single estimators [deg].
+    by_manoeuvre, by_band : pandas.DataFrame
+        RMSE [deg] of the folds per kind of driving and per range of the true beta; selectors as columns.
+    leakage : pandas.DataFrame
+        RMSE over windows [deg] of the default tree when windows are dealt out at random, and by recording.
+    """
+
+    summary: pd.DataFrame
+    references: pd.DataFrame
+    by_manoeuvre: pd.DataFrame
+    by_band: pd.DataFrame
+    leakage: pd.DataFrame
+
+    def to_json(self) -> str:
+        """All tables for programs."""
+        names = ("summary", "references", "by_manoeuvre", "by_band", "leakage")
+        tables = {
+            name: json.loads(getattr(self, name).to_json(orient="split", double_precision=6))
+            for name in names
+        }
+        return json.dumps(tables, indent=1) + "\n"
+
+
+def driving_of(recording: Recording) -> tuple[str, str]:
+    """Manoeuvre and surface of a simulated recording, from the card beside it; empty for others."""
+    card = recording.path.with_name(CARD)
+    if not card.is_file():
+        return "", ""
+    logs = json.loads(card.read_text(encoding="utf-8")).get("logs", [])
+    name = recording.name.rsplit("/", 1)[-1]
+    entry: dict[str, object] = next((one for one in logs if one.get("log") == name), {})
+    return str(entry.get("manoeuvre", "")), str(entry.get("surface", ""))
+
+
+def leave_one_out(groups: Sequence[str]) -> list[tuple[list[int], list[int]]]:
+    """Pairs of (recordings to fit on, recordings to test on), one per group; none where there is only one group."""
+    names = sorted(set(groups))
+    if len(names) < 2 or "" in names:
+        return []
+    return [
+        (
+            [i for i, group in enumerate(groups) if group != name],
+            [i for i, group in enumerate(groups) if group == name],
+        )
+        for name in names
+    ]
+
+
+def schemes_of(
+    recordings: Sequence[Recording], folds: int, seed: int
+) -> dict[str, list[tuple[list[int], list[int]]]]:
+    """Ways to leave recordings out: folds, one vehicle, one surface."""
+    schemes = {
+        f"{folds} folds": grouped_folds(list(range(len(recordings))), folds, seed),
+        "leave one vehicle out": leave_one_out([one.vehicle.name for one in recordings]),
+        "leave one surface out": leave_one_out([driving_of(one)[1] for one in recordings]),
+    }
+    return {name: pairs for name, pairs in schemes.items() if pairs}
+
+
+def comparison_steps(recordings: Sequence[Recording], folds: int, seed: int) -> int:
+    """How often `compare` reports progress."""
+    fits = sum(len(pairs) for pairs in schemes_of(recordings, folds, seed).values())
+    return len(recordings) + len(SELECTORS) * fits
+
+
+def compare(
+    recordings: Sequence[Recording],
+    folds: int = 5,
+    seed: int = 0,
+    rate: float = 100.0,
+    jobs: int = 1,
+    progress: Callable[[], None] | None = None,
+    filters: Sequence[str] = DEFAULT_FILTERS,
+) -> Comparison:
+    """Judge every selector on recordings it was not fitted on.
+
+    Parameters
+    ----------
+    recordings : sequence of Recording
+    folds, seed, rate, jobs, progress, filters
+        As in `crosscomb.training.selectors.train.train`; `progress` is called `comparison_steps` times.
+    """
+    entries = default_filters(recordings[0].vehicle, filters)
+    beside = default_filters(recordings[0].vehicle, [name for name in REFERENCES if name not in filters])
+    every = run_bank(recordings, [*entries, *beside], rate, STATISTICS, jobs, progress)
+    banks = [bank.only(range(len(entries))) for bank in every]
+    references = score_filters(every, [entry.name for entry in [*entries, *beside]])
+    schemes = schemes_of(recordings, folds, seed)
+    rows: list[dict[str, object]] = []
+    of_folds: dict[str, Evaluation] = {}
+    for selector, kind in SELECTORS.items():
+        seen = [with_windows(bank, kind.window) for bank in banks]
+        windows = [bank.windows(kind.window, kind.needs_all) for bank in seen]
+        fitter = Fitter(selector, rate, entries, common_vehicle(list(recordings)), seed, seen, windows)
+        for scheme, pairs in schemes.items():
+            fits = fit_all(fitter, [fit for fit, _ in pairs], jobs, progress)
+            judged = pool(
+                [
+                    evaluate([seen[i] for i in test], one)
+                    for (_, test), (one, _) in zip(pairs, fits, strict=True)
+                ]
+            )
+            rows.append({"selector": selector, "scheme": scheme, **summary_of(judged, seed)})
+            of_folds.setdefault(selector, judged)
+    driving = pd.Series({one.name: driving_of(one)[0] or one.vehicle.name for one in recordings})
+    return Comparison(
+        summary=pd.DataFrame(rows).set_index(["selector", "scheme"]),
+        references=pd.DataFrame(
+            {
+                "rmse": references.xs("rmse", axis=1, level=1).mean(),
+                "max": references.xs("max", axis=1, level=1).max(),
+            }
+        ),
+        by_manoeuvre=_together(of_folds, lambda one: one.rmse.groupby(driving).mean()),
+        by_band=_together(of_folds, lambda one: one.by_band),
+        leakage=leakage(banks, folds, seed),
+    )
+
+
+def with_windows(bank: BankRun, settings: WindowSettings) -> BankRun:
+    """The same run seen through other windows."""
+    runs = []
+    for run in bank.runs:
+        signals = run.segment.signals
+        features = window_features(signals.column("ay"), signals.column("yaw_rate"), settings)
+        runs.append(replace(run, features=features))
+    return replace(bank, runs=runs)
+
+
+def summary_of(evaluation: Evaluation, seed: int) -> dict[str, float]:
+    """What counts of an evaluation, on one line."""
+    low, high = bootstrap_ratio(evaluation, seed)
+    table, single = evaluation.table, evaluation.best_single
+    return {
+        "ratio": evaluation.ratio,
+        "ratio low": low,
+        "ratio high": high,
+        "RMSE [deg]": float(evaluation.rmse[SWITCH].mean()),
+        "RMSE / oracle": float(evaluation.rmse[SWITCH].mean() / evaluation.rmse["oracle"].mean()),
+        "regret [deg]": evaluation.regret,
+        "accuracy": float(np.trace(evaluation.confusion) / max(evaluation.confusion.sum(), 1)),
+        "largest error / best single": float(
+            evaluation.largest[SWITCH].mean() / evaluation.largest[single].mean()
+        ),
+        "coverage": float(table[SWITCH, "coverage"].mean()),
+        "switches per minute": float(table[SWITCH, "switches_per_minute"].mean()),
+        "largest jump [deg]": float(table[SWITCH, "largest_jump"].max()),
+    }
+
+
+def bootstrap_ratio(evaluation: Evaluation, seed: int) -> tuple[float, float]:
+    """95 % interval of the ratio to the best single filter, over draws of recordings."""
+    rmse = evaluation.rmse
+    ours, single = rmse[SWITCH].to_numpy(), rmse[evaluation.best_single].to_numpy()
+    draws = np.random.default_rng(seed).integers(0, len(ours), (DRAWS, len(ours)))
+    low, high = np.quantile(ours[draws].mean(axis=1) / single[draws].mean(axis=1), [0.025, 0.975])
+    return float(low), float(high)
+
+
+def leakage(banks: Sequence[BankRun], folds: int, seed: int) -> pd.DataFrame:
+    """RMSE over windows [deg] of the default tree under random folds and under folds by recording.
+
+    Random folds put windows a tenth of a second apart on both sides: what they promise is not kept on a new log.
+    """
+    parts = [bank.windows(STATISTICS) for bank in banks]
+    windows, owner = concatenate(parts), np.repeat(np.arange(len(parts)), [len(part.rmse) for part in parts])
+    shape = SELECTORS["tree"].shapes[-1]
+    dealt = np.random.default_rng(seed).integers(0, folds, len(owner))
+    by_recording = np.empty(len(owner), dtype=np.int64)
+    for fold, (_, test) in enumerate(grouped_folds(list(range(len(banks))), folds, seed)):
+        by_recording[np.isin(owner, test)] = fold
+    rows = {}
+    for name, fold_of in (("windows at random (leaks)", dealt), ("by recording", by_recording)):
+        picked = np.zeros(len(owner), dtype=np.int64)
+        for fold in np.unique(fold_of):
+            inside = fold_of != fold
+            part = windows.where(inside)
+            tree = to_tree(
+                fit_tree(part.features, part, True, shape, seed), part.features, windows.rmse.shape[1]
+            )
+            picked[~inside] = tree.predict(windows.features[~inside])
+        error = windows.rmse[np.arange(len(owner)), picked]
+        rows[name] = {
+            "RMSE [deg]": float(np.degrees(np.sqrt(np.mean(error**2)))),
+            "accuracy": float(np.mean(picked == windows.label)),
+        }
+    return pd.DataFrame(rows).T
+
+
+def _together(
+    evaluations: dict[str, Evaluation], table_of: Callable[[Evaluation], pd.DataFrame]
+) -> pd.DataFrame:
+    """Estimators of the first evaluation, and the switch of each as the selector's column."""
+    first = table_of(next(iter(evaluations.values())))
+    columns = {str(name): first[name] for name in first.columns if name != SWITCH}
+    return pd.DataFrame({**columns, **{name: table_of(one)[SWITCH] for name, one in evaluations.items()}})

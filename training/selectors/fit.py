@@ -1,0 +1,275 @@
+"""Fit a selector on the windows of some recordings: its shape and its trust come from folds inside them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from crosscomb.models.vehicle import Vehicle
+from crosscomb.selection.artefact import Artefact, FilterSettings
+from crosscomb.selection.choice import Choice
+from crosscomb.selection.correction import Correction
+from crosscomb.selection.features import layout
+from crosscomb.selection.switch import SwitchSettings
+from crosscomb.selection.trust import Trust
+from crosscomb.selection.windows import WindowSettings
+from crosscomb.training.folds import grouped_folds
+from crosscomb.training.metrics import score
+from crosscomb.training.selectors.bank import BankRun
+from crosscomb.training.selectors.fit_boosted import fit_choice, fit_temperature
+from crosscomb.training.selectors.fit_correction import (
+    FEW,
+    FULL,
+    Size,
+    fit_correction,
+    fit_doubt,
+    left_over,
+    recording_weights,
+)
+from crosscomb.training.selectors.fit_tree import (
+    TreeShape,
+    fit_tree,
+    keep_what_is_sure,
+    to_tree,
+    without_idle_questions,
+)
+from crosscomb.training.selectors.fit_trust import fit_trust
+from crosscomb.training.selectors.labels import Windows, concatenate
+
+SHAPES = (TreeShape(4, 0.01), TreeShape(6, 0.005), TreeShape(8, 0.003))
+
+ANY = SHAPES[1:2]
+"""Where boosted trees choose, the tree only knows the range of its features."""
+
+
+@dataclass(frozen=True)
+class SelectorKind:
+    """A way to train a selector.
+
+    Attributes
+    ----------
+    summary : str
+    window : WindowSettings
+    by_regret : bool
+        Weigh every choice in a window by the error it saves, instead of one plain label per window.
+    shapes : tuple of TreeShape
+        Trees to choose from by inner folds; one only is taken as it is.
+    all_signals : bool
+        The tree looks at all features instead of the windows.
+    choice : {"", "hard", "soft"}
+        Boosted trees on all features that switch, or blend by probability.
+    corrected : bool
+        A learned correction on top; nothing then looks at what filters say of themselves.
+    """
+
+    summary: str
+    window: WindowSettings
+    by_regret: bool = True
+    shapes: tuple[TreeShape, ...] = SHAPES
+    all_signals: bool = False
+    choice: str = ""
+    corrected: bool = False
+
+    @property
+    def needs_all(self) -> bool:
+        """Whether it takes more than the windows of ay and yaw rate."""
+        return self.all_signals or bool(self.choice) or self.corrected
+
+
+STATISTICS = WindowSettings(features="statistics", history=40)
+
+SELECTORS: dict[str, SelectorKind] = {
+    "tree": SelectorKind(
+        "decision tree on statistics of ay and yaw-rate windows, trained for the cost of a wrong choice", STATISTICS
+    ),
+    "paper": SelectorKind(
+        "decision tree on the raw ay and yaw-rate windows with plain labels, as in Atheupe 2023",
+        WindowSettings(features="raw"),
+        by_regret=False,
+        shapes=(TreeShape(8, 0.01, 0.0),),
+    ),
+    "tree_all": SelectorKind(
+        "the same tree on all signals, innovations and the filters' disagreement", STATISTICS, all_signals=True
+    ),
+    "boosted": SelectorKind(
+        "boosted trees on all signals that foretell the error of each filter", STATISTICS, shapes=ANY, choice="hard"
+    ),
+    "soft": SelectorKind(
+        "the same, blending the filters by calibrated probabilities", STATISTICS, shapes=ANY, choice="soft"
+    ),
+    "hybrid": SelectorKind(
+        "learned correction of the best filter, fading to a blend outside the training data", STATISTICS,
+        shapes=ANY, choice="soft", corrected=True,
+    ),
+}  # fmt: skip
+
+MOST_BALANCE = 8.0
+"""A real recording counts at most so many times as much as a simulated one."""
+
+INNER_FOLDS = 3
+"""Folds inside the recordings of one fit, for the shape of the tree and for the trust."""
+
+THINNING = 10
+"""Every so many samples count in the calibration: neighbours say the same."""
+
+
+@dataclass(frozen=True)
+class Fitter:
+    """What all fits of one training share.
+
+    Attributes
+    ----------
+    selector : str
+        Key of `SELECTORS`.
+    rate : float [Hz]
+    filters : list of FilterSettings
+    vehicle : Vehicle or None
+    seed : int
+    banks : sequence of BankRun
+    windows : list of Windows
+        Of each recording.
+    """
+
+    selector: str
+    rate: float
+    filters: list[FilterSettings]
+    vehicle: Vehicle | None
+    seed: int
+    banks: Sequence[BankRun]
+    windows: list[Windows]
+
+    @property
+    def kind(self) -> SelectorKind:
+        """How the selector is trained."""
+        return SELECTORS[self.selector]
+
+    @property
+    def names(self) -> list[str]:
+        """Names of the filters."""
+        return [entry.name for entry in self.filters]
+
+    def together(self, members: Sequence[int]) -> Windows:
+        """Windows of some recordings."""
+        return concatenate([self.windows[i] for i in members])
+
+    def owner(self, members: Sequence[int]) -> np.ndarray:
+        """Place in `members` of the recording of each of their windows ``(w,)``."""
+        return np.repeat(np.arange(len(members)), [len(self.windows[i].rmse) for i in members])
+
+    def balance(self, members: Sequence[int]) -> np.ndarray:
+        """Weight of each recording ``(members,)``: simulated and real ones count the same in all."""
+        counts = np.array([len(self.windows[i].rmse) for i in members], float)
+        simulated = np.array([self.banks[i].recording.is_simulated for i in members])
+        weight = np.ones(len(counts))
+        if 0 < simulated.sum() < len(counts):
+            share = counts[simulated].sum() / counts[~simulated].sum()
+            weight[~simulated] = min(max(share, 1.0 / MOST_BALANCE), MOST_BALANCE)
+        return weight
+
+    def safe(self, members: Sequence[int]) -> int:
+        """Filter with the lowest median RMSE: nearly right in most driving, whatever it does in slides."""
+        rmse = [np.sqrt(np.mean(self.windows[i].rmse ** 2, axis=0)) for i in members]
+        return int(np.argmin(np.median(rmse, axis=0)))
+
+    def fit(self, members: Sequence[int]) -> tuple[Artefact, TreeShape]:
+        """Fit on some recordings: the shape of the tree and the trust are found on folds inside them."""
+        inner = grouped_folds(list(members), INNER_FOLDS, self.seed)
+        left_out: list[tuple[list[int], Artefact]] = []
+        best = np.inf
+        for candidate in self.kind.shapes:
+            fitted = [(test, self._plain(fit, candidate)) for fit, test in inner]
+            rmse = float(np.mean([self._rmse(i, artefact) for test, artefact in fitted for i in test]))
+            if rmse < best or not left_out:
+                left_out, best, shape = fitted, rmse, candidate
+        artefact = self._plain(members, shape)
+        if self.kind.choice:
+            parts = [self._choice(fit) for fit, _ in inner]
+            update = {"temperature": fit_temperature(parts, [self.together(test) for _, test in inner])}
+            left_out = [
+                (test, one.model_copy(update={"choice": part.model_copy(update=update)}))
+                for (test, one), part in zip(left_out, parts, strict=True)
+            ]
+            choice = self._choice(members).model_copy(update=update)
+            artefact = artefact.model_copy(update={"choice": choice})
+        artefact = artefact.model_copy(update={"trust": self._trust(left_out)})
+        if self.kind.corrected:
+            choices = [one.choice for _, one in left_out if one.choice is not None]
+            correction = self._correction(members, inner, choices)
+            artefact = artefact.model_copy(update={"correction": correction})
+        return artefact, shape
+
+    def _plain(self, members: Sequence[int], shape: TreeShape) -> Artefact:
+        """Artefact with a tree only, its doubt not calibrated."""
+        windows = self.together(members)
+        features = windows.everything if self.kind.all_signals else windows.features
+        safe = self.safe(members)
+        weight = self._weight(members, safe)
+        fitted = fit_tree(features, windows, self.kind.by_regret, shape, self.seed, weight)
+        tree = to_tree(fitted, features, len(self.filters))
+        if self.kind.by_regret:
+            tree = keep_what_is_sure(tree, tree.leaves(features), windows, self.owner(members), safe)
+            tree = without_idle_questions(tree)
+        # The safe choice of the paper is the particle filter; ours is measured.
+        paper = self.selector == "paper" and "random_walk_pf" in self.names
+        return Artefact(
+            selector_name=self.selector,
+            rate=self.rate,
+            window=self.kind.window,
+            filters=self.filters,
+            fallback="random_walk_pf" if paper else self.names[safe],
+            switch=SwitchSettings(),
+            tree=tree,
+            tree_sees_all=self.kind.all_signals,
+            vehicle=self.vehicle,
+        )
+
+    def _rmse(self, member: int, artefact: Artefact) -> float:
+        bank = self.banks[member]
+        beta = np.concatenate([run.answer(artefact).beta for run in bank.runs])
+        return score(beta, bank.beta_ref, bank.counted).rmse
+
+    def _choice(self, members: Sequence[int]) -> Choice:
+        seen = layout(self.names).plain if self.kind.corrected else None
+        return fit_choice(self.together(members), self.names, self.kind.choice == "soft", self.seed, seen)
+
+    def _trust(self, left_out: Sequence[tuple[list[int], Artefact]]) -> Trust:
+        """Calibrate beta_std on recordings that their artefact was not fitted on (split conformal)."""
+        parts = []
+        for members, artefact in left_out:
+            plain = artefact.model_copy(update={"trust": Trust()})
+            for bank in (self.banks[i] for i in members):
+                answers = [run.answer(plain) for run in bank.runs]
+                every = np.flatnonzero(bank.counted)[::THINNING]
+                error = np.concatenate([answer.beta for answer in answers])[every] - bank.beta_ref[every]
+                beta_std = np.concatenate([answer.beta_std for answer in answers])[every]
+                parts.append((error, beta_std, bank.joined(lambda run: run.beta)[every]))
+        error, beta_std, beta = (np.concatenate(column) for column in zip(*parts, strict=True))
+        return fit_trust(error, beta_std, beta)
+
+    def _weight(self, members: Sequence[int], anchor: int) -> np.ndarray:
+        """Weight of each window of some recordings ``(w,)``, by what a filter leaves of them."""
+        owner = self.owner(members)
+        rmse = np.concatenate([self.windows[i].rmse[:, anchor] for i in members])
+        return recording_weights(rmse, owner) * self.balance(members)[owner]
+
+    def _correction(
+        self,
+        members: Sequence[int],
+        inner: Sequence[tuple[list[int], list[int]]],
+        choices: Sequence[Choice],
+    ) -> Correction:
+        """Fit the correction on all members and its doubt on what parts of them left out."""
+        anchor = self.safe(members)
+
+        def fit_on(some: Sequence[int], size: Size) -> Correction:
+            weight = self._weight(some, anchor)
+            return fit_correction(self.together(some), weight, self.names, anchor, self.seed, size)
+
+        parts = [
+            left_over(fit_on(fit, FEW), choice, self.together(test), self._weight(test, anchor), self.names)
+            for (fit, test), choice in zip(inner, choices, strict=True)
+        ]
+        doubt, trust = fit_doubt(parts, self.names, anchor, self.seed)
+        return fit_on(members, FULL).model_copy(update={"doubt": doubt, "trust": trust})

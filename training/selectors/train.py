@@ -1,0 +1,234 @@
+"""Train a selector: split, folds, evaluation, and the artefact refitted on all recordings."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from joblib import Parallel, delayed
+from threadpoolctl import threadpool_limits
+
+from crosscomb.errors import UsageError
+from crosscomb.files import file_hash, versions
+from crosscomb.filters.catalogue import DEFAULT_FILTERS, make_filter, settings_of
+from crosscomb.models.vehicle import Vehicle
+from crosscomb.run.drive import require_known
+from crosscomb.run.tuned import Tuned, with_tuned
+from crosscomb.selection.artefact import Artefact, FilterSettings
+from crosscomb.training.folds import Parts, grouped_folds, split_recordings
+from crosscomb.training.recordings import Recording, common_vehicle
+from crosscomb.training.selectors.bank import run_bank
+from crosscomb.training.selectors.evaluate import Evaluation, evaluate, pool
+from crosscomb.training.selectors.fit import SELECTORS, Fitter
+from crosscomb.training.selectors.fit_tree import TreeShape
+from crosscomb.training.selectors.labels import Windows, concatenate
+from crosscomb.training.tuning.first import tuned_entries
+
+RATE = 100.0
+"""Default working rate [Hz]."""
+
+
+@dataclass(frozen=True)
+class Training:
+    """What a training gave.
+
+    Attributes
+    ----------
+    artefact : Artefact
+        Fitted on all recordings; none of the evaluations below is of this tree.
+    folds : Evaluation
+        Each recording of the training part, judged by the selector of the fold that left it out; everything that
+        was chosen or calibrated was so inside that fold.
+    validation, test : Evaluation
+        The 15 % and 10 % parts, judged by the tree of the 75 % part.
+    parts : Parts
+    shape : TreeShape
+        Of the tree in the artefact.
+    """
+
+    artefact: Artefact
+    folds: Evaluation
+    validation: Evaluation
+    test: Evaluation
+    parts: Parts
+    shape: TreeShape
+
+    @property
+    def evaluations(self) -> dict[str, Evaluation]:
+        """The three evaluations by name."""
+        return {"folds": self.folds, "validation": self.validation, "test": self.test}
+
+
+def train(
+    recordings: Sequence[Recording],
+    selector: str = "tree",
+    folds: int = 5,
+    seed: int = 0,
+    rate: float = RATE,
+    jobs: int = 1,
+    progress: Callable[[], None] | None = None,
+    filters: Sequence[str] = DEFAULT_FILTERS,
+    tuned: Tuned | None = None,
+    tune_budget: int = 0,
+) -> Training:
+    """Train a selector on recordings with ground truth.
+
+    Parameters
+    ----------
+    recordings : sequence of Recording
+        At least seven.
+    selector : str
+        Key of `crosscomb.training.selectors.fit.SELECTORS`.
+    folds : int
+    seed : int
+        The same seed gives the same artefact bit for bit.
+    rate : float
+        Working rate [Hz].
+    jobs : int
+        Processes for the filters.
+    progress : callable, optional
+        Called `steps` times in all.
+    filters : sequence of str
+        Names of the estimators to select from; at least two.
+    tuned : Tuned, optional
+        Noise that takes the place of the filters' defaults; these filters are not tuned again.
+    tune_budget : int
+        Evaluations to tune the other filters' noise with, on the training part only; 0 leaves them as they are.
+
+    Raises
+    ------
+    UsageError
+        One filter is the best in every window, or a recording has no window that can be judged.
+    """
+    entries = with_tuned(default_filters(recordings[0].vehicle, filters), tuned)
+    if tune_budget > 0:
+        learning = [recordings[i] for i in split_recordings(len(recordings), seed).training]
+        entries = tuned_entries(learning, entries, rate, tune_budget, seed, jobs, leave=tuned)
+    fitter = make_fitter(recordings, selector, entries, seed, rate, jobs, progress)
+    banks = fitter.banks
+
+    parts = split_recordings(len(banks), seed)
+    pairs = grouped_folds(parts.training, folds, seed)
+    tasks = [*(fit for fit, _ in pairs), parts.training, list(range(len(banks)))]
+    fits = fit_all(fitter, tasks, jobs, progress)
+    cross = pool(
+        [evaluate([banks[i] for i in test], one) for (_, test), (one, _) in zip(pairs, fits, strict=False)]
+    )
+    partly, (whole, shape) = fits[-2][0], fits[-1]
+    validation = evaluate([banks[i] for i in parts.validation], partly)
+    test = evaluate([banks[i] for i in parts.test], partly)
+    record = _record(recordings, parts, seed, folds, shape, cross, validation, test)
+    artefact = whole.model_copy(update={"training": record})
+    return Training(artefact, cross, validation, test, parts, shape)
+
+
+def make_fitter(
+    recordings: Sequence[Recording],
+    selector: str,
+    entries: list[FilterSettings],
+    seed: int,
+    rate: float = RATE,
+    jobs: int = 1,
+    progress: Callable[[], None] | None = None,
+) -> Fitter:
+    """Run the filters over recordings and label their windows; see `train` for the arguments and errors."""
+    kind = SELECTORS[selector]
+    banks = run_bank(recordings, entries, rate, kind.window, jobs, progress)
+    windows = [bank.windows(kind.window, kind.needs_all) for bank in banks]
+    _require_choice(recordings, windows, entries)
+    return Fitter(selector, rate, entries, common_vehicle(list(recordings)), seed, banks, windows)
+
+
+def fit_all(
+    fitter: Fitter, tasks: Sequence[Sequence[int]], jobs: int, progress: Callable[[], None] | None
+) -> list[tuple[Artefact, TreeShape]]:
+    """Fit on each set of recordings, side by side; one thread each, so that the sums are the same everywhere."""
+    fits = []
+    with threadpool_limits(1):
+        made = Parallel(n_jobs=jobs, return_as="generator", prefer="threads")(
+            delayed(fitter.fit)(members) for members in tasks
+        )
+        for one in made:
+            fits.append(one)
+            if progress is not None:
+                progress()
+    return fits
+
+
+def steps(recordings: Sequence[Recording], folds: int) -> int:
+    """How often `train` reports progress: after each recording and after each fit."""
+    training = len(split_recordings(len(recordings), 0).training)
+    return len(recordings) + min(folds, training) + 2
+
+
+def _require_choice(
+    recordings: Sequence[Recording], windows: Sequence[Windows], filters: Sequence[FilterSettings]
+) -> None:
+    """Refuse recordings that cannot be labelled, or that leave nothing to select.
+
+    Raises
+    ------
+    UsageError
+    """
+    for recording, part in zip(recordings, windows, strict=True):
+        if len(part.features) == 0:
+            raise UsageError(
+                f"{recording.path}: nowhere fast enough for one whole window beside ground truth: "
+                f"take it out of the folder"
+            )
+    best = np.unique(concatenate(list(windows)).label)
+    if len(best) == 1:
+        folder = os.path.commonpath([recording.path.parent for recording in recordings])
+        raise UsageError(
+            f"{folder}: {filters[best[0]].name} is best in every window, there is nothing to select: "
+            f"add recordings of other driving (slides, straights, cornering)"
+        )
+
+
+def default_filters(vehicle: Vehicle, names: Sequence[str] = DEFAULT_FILTERS) -> list[FilterSettings]:
+    """Filters with all their settings written out; by default the paper's three."""
+    return [FilterSettings(name=name, settings=settings_of(make_filter(name, vehicle))) for name in names]
+
+
+def require_filters(names: Sequence[str]) -> None:
+    """Refuse a bank of filters that cannot be selected from.
+
+    Raises
+    ------
+    UsageError
+        A name is unknown or stands twice, or there is only one.
+    """
+    require_known(names)
+    if len(names) < 2:
+        raise UsageError(f"--filters {', '.join(names)}: there is nothing to select from: name at least two")
+
+
+def _record(
+    recordings: Sequence[Recording],
+    parts: Parts,
+    seed: int,
+    folds: int,
+    shape: TreeShape,
+    cross: Evaluation,
+    validation: Evaluation,
+    test: Evaluation,
+) -> dict[str, object]:
+    """Record of a training for the artefact."""
+    names = [recording.name for recording in recordings]
+    return {
+        "seed": seed,
+        "folds": folds,
+        "depth": shape.depth,
+        "leaf": shape.leaf,
+        "versions": versions(),
+        "data": {recording.name: file_hash(recording.path) for recording in recordings},
+        "parts": {
+            part: [names[i] for i in getattr(parts, part)] for part in ("training", "validation", "test")
+        },
+        "rmse_deg": {
+            part: {str(k): round(float(v), 4) for k, v in evaluation.overall["rmse"].items()}
+            for part, evaluation in (("folds", cross), ("validation", validation), ("test", test))
+        },
+    }

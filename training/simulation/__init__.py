@@ -1,0 +1,1 @@
+"""The plant driven through manoeuvres: labelled logs without a reference sensor."""

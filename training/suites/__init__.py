@@ -1,0 +1,1 @@
+"""Benchmarks: accuracy and speed of everything on fixed sets of logs."""

@@ -1,0 +1,1 @@
+"""Noise settings of filters, found in logs."""
