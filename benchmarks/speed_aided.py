@@ -13,7 +13,8 @@ from collections.abc import Callable
 import numpy as np
 from speed_filters import KERNEL_STEPS, print_pairs, slalom, twin_pair
 
-from crosscomb.filters.base import GNSS_COURSE, GNSS_SPEED, HEADING, VX, YAW_RATE, Estimate, Inputs
+from crosscomb.filters import columns as at
+from crosscomb.filters.base import Estimate, Inputs
 from crosscomb.filters.catalogue import make_filter
 from crosscomb.filters.reference.aided import (
     reference_gnss_dynamic_observer,
@@ -35,10 +36,12 @@ def slalom_with_fixes(vehicle: Vehicle, steps: int) -> Inputs:
     """The slalom of `speed_filters`, with a fix of a car that goes where it points at every 20th sample."""
     inputs = slalom(vehicle, steps)
     samples = inputs.samples
-    heading = inputs.dt * np.cumsum(samples[:, YAW_RATE])
-    samples[:, [GNSS_SPEED, GNSS_COURSE, HEADING]] = np.nan
-    samples[::20, GNSS_SPEED] = samples[::20, VX]
-    samples[::20, GNSS_COURSE] = samples[::20, HEADING] = np.arctan2(np.sin(heading), np.cos(heading))[::20]
+    heading = inputs.dt * np.cumsum(samples[:, at.YAW_RATE])
+    samples[:, [at.GNSS_SPEED, at.GNSS_COURSE, at.HEADING]] = np.nan
+    samples[::20, at.GNSS_SPEED] = samples[::20, at.VX]
+    samples[::20, at.GNSS_COURSE] = samples[::20, at.HEADING] = np.arctan2(np.sin(heading), np.cos(heading))[
+        ::20
+    ]
     return inputs
 
 

@@ -23,7 +23,8 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
-from crosscomb.filters.base import VX, Estimate, Inputs, make_inputs
+from crosscomb.filters import columns as at
+from crosscomb.filters.base import Estimate, Inputs, make_inputs
 from crosscomb.filters.random_walk.adaptive_pf import AdaptivePF
 from crosscomb.filters.random_walk.pf import RandomWalkPF
 from crosscomb.filters.random_walk.rao_blackwell_pf import RaoBlackwellPF
@@ -57,7 +58,7 @@ def make_case(vehicle: Vehicle, job: Job, duration: float, reference: int) -> Ca
         vehicle, job.manoeuvre, (7, job.number), duration=duration, surface=job.surface, sensors=job.profile
     )
     inputs = make_inputs(complete(log, vehicle), vehicle, 0.01)
-    counts = (inputs.samples[:, VX] > MIN_SPEED) & np.isfinite(log.beta_ref)
+    counts = (inputs.samples[:, at.VX] > MIN_SPEED) & np.isfinite(log.beta_ref)
     counts[:SETTLED] = False
     first, second = (RandomWalkPF(vehicle, particles=reference, seed=900 + i).run(inputs) for i in range(2))
     return Case(job, inputs, log.beta_ref, counts, (first, second))

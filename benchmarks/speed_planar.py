@@ -15,7 +15,8 @@ from collections.abc import Callable
 import numpy as np
 from speed_filters import KERNEL_STEPS, Pair, print_pairs, slalom, twin_pair
 
-from crosscomb.filters.base import VFL, VFR, VX, Estimate, Inputs
+from crosscomb.filters import columns as at
+from crosscomb.filters.base import Estimate, Inputs
 from crosscomb.filters.catalogue import make_filter
 from crosscomb.filters.reference.planar import (
     reference_cubature_kf,
@@ -46,8 +47,8 @@ TWINS: dict[str, Callable[..., Estimate]] = {
 def wheeled_slalom(vehicle: Vehicle, steps: int) -> Inputs:
     """The slalom of `speed_filters` with wheel speeds, so that all five measurements are there."""
     inputs = slalom(vehicle, steps)
-    inputs.samples[:, VFL:] = np.nan
-    inputs.samples[:, VFL] = inputs.samples[:, VFR] = inputs.samples[:, VX]
+    inputs.samples[:, at.VFL :] = np.nan
+    inputs.samples[:, at.VFL] = inputs.samples[:, at.VFR] = inputs.samples[:, at.VX]
     return inputs
 
 

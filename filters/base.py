@@ -10,21 +10,13 @@ from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
+from crosscomb.filters import columns as at
 from crosscomb.models.compiled import inlined, kernel
 from crosscomb.models.kinematic import slip_of_rolling_rear
 from crosscomb.models.single_track import SingleTrack, single_track
 from crosscomb.models.tyres import TYRE_LAWS
 from crosscomb.models.vehicle import Vehicle
 from crosscomb.signals import COLUMN, GNSS, GRAVITY, MIN_SPEED, TORQUES, WHEEL_SPEEDS, Signals
-
-VX, AX, AY, YAW_RATE, STEER, STEER_REAR, FXF, FXR, VX_HELD, STEER_HELD = range(10)
-VFL, VFR, VRL, VRR, GNSS_SPEED, GNSS_COURSE, HEADING = range(10, 17)
-"""Columns of a sample: what kernels read."""
-
-SAMPLE_WIDTH = 17
-
-BETA, BETA_STD, NIS = range(3)
-"""Columns of an estimate: what kernels write."""
 
 INNOVATION = "innovation_"
 """Beginning of the names of those further columns that are innovations."""
@@ -186,15 +178,15 @@ def gaussian() -> Gaussian:
 @inlined
 def below_gate(sample):
     """Tell whether the car is too slow for tyre slip to matter (also when it reverses)."""
-    return not sample[VX] > MIN_SPEED
+    return not sample[at.VX] > MIN_SPEED
 
 
 @inlined
 def low_speed_answer(sample, car, out):
     """Write the sideslip angle of rolling without tyre slip."""
-    out[BETA] = slip_of_rolling_rear(sample[STEER], sample[STEER_REAR], car.a, car.b)
-    out[BETA_STD] = LOW_SPEED_STD
-    out[NIS] = math.nan
+    out[at.BETA] = slip_of_rolling_rear(sample[at.STEER], sample[at.STEER_REAR], car.a, car.b)
+    out[at.BETA_STD] = LOW_SPEED_STD
+    out[at.NIS] = math.nan
 
 
 @inlined
@@ -305,15 +297,15 @@ def next_inputs(held: np.ndarray, points: np.ndarray, vehicle: Vehicle, dt: floa
     vehicle : Vehicle
     dt : float [s]
     """
-    samples = np.empty((len(points), SAMPLE_WIDTH))
+    samples = np.empty((len(points), at.SAMPLE_WIDTH))
     _inputs_run(held, points, input_car(vehicle), samples)
     return Inputs(dt=dt, samples=samples)
 
 
 _HELD_FROM = tuple(COLUMN[name] for name in HELD)
-_HELD_TO = (VX, STEER, STEER_REAR)
+_HELD_TO = (at.VX, at.STEER, at.STEER_REAR)
 _PLAIN_FROM = tuple(COLUMN[name] for name in ("ax", "yaw_rate", *WHEEL_SPEEDS, *GNSS))
-_PLAIN_TO = (AX, YAW_RATE, *range(VFL, HEADING + 1))
+_PLAIN_TO = (at.AX, at.YAW_RATE, *range(at.VFL, at.HEADING + 1))
 _AY_FROM = COLUMN["ay"]
 _TORQUE_FL, _TORQUE_FR, _TORQUE_RL, _TORQUE_RR = (COLUMN[name] for name in TORQUES)
 
@@ -328,10 +320,10 @@ def _inputs_run(held, points, car, samples):
             sample[_HELD_TO[i]] = held[i]
         for i in range(len(_PLAIN_FROM)):
             sample[_PLAIN_TO[i]] = point[_PLAIN_FROM[i]]
-        sample[AY] = point[_AY_FROM] / car.roll_gain
-        sample[FXF], sample[FXR] = _longitudinal_forces(point, sample[AX], car)
-        sample[VX_HELD] = 0.0 if math.isfinite(point[_HELD_FROM[0]]) else 1.0
-        sample[STEER_HELD] = 0.0 if math.isfinite(point[_HELD_FROM[1]]) else 1.0
+        sample[at.AY] = point[_AY_FROM] / car.roll_gain
+        sample[at.FXF], sample[at.FXR] = _longitudinal_forces(point, sample[at.AX], car)
+        sample[at.VX_HELD] = 0.0 if math.isfinite(point[_HELD_FROM[0]]) else 1.0
+        sample[at.STEER_HELD] = 0.0 if math.isfinite(point[_HELD_FROM[1]]) else 1.0
 
 
 @kernel

@@ -24,23 +24,11 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 
 from crosscomb.errors import UsageError
-from crosscomb.filters.base import (
-    AY,
-    BETA,
-    BETA_STD,
-    MAX_BETA,
-    NIS,
-    STEER,
-    STEER_HELD,
-    VX,
-    YAW_RATE,
-    KernelFilter,
-    below_gate,
-    low_speed_answer,
-)  # fmt: skip
+from crosscomb.filters import columns as at
+from crosscomb.filters.base import MAX_BETA, KernelFilter, below_gate, low_speed_answer
 from crosscomb.models.compiled import kernel
 
-COLUMNS = (AY, YAW_RATE, STEER, VX)
+COLUMNS = (at.AY, at.YAW_RATE, at.STEER, at.VX)
 """Columns of a sample that are the network's inputs, in order."""
 
 FEEDBACK_DELAY = 0.08
@@ -123,7 +111,7 @@ def remember(state, beta):
 @kernel
 def take_inputs(state, sample, net, dt):
     """Take the inputs that are there, keep the others, and fetch the fed-back beta."""
-    inputs, complete = state.inputs, sample[STEER_HELD] == 0.0
+    inputs, complete = state.inputs, sample[at.STEER_HELD] == 0.0
     for i in range(4):
         value = sample[COLUMNS[i]]
         if math.isfinite(value):
@@ -145,10 +133,10 @@ def network_step(state, sample, net, noise, dt, out):
         state.running[0] = 0 if slow else 1
     else:
         beta, outside = evaluate(state.inputs, net)
-        out[BETA] = min(max(beta, -net.largest), net.largest)
-        out[BETA_STD] = math.hypot(net.error, noise.outside * outside + noise.missing * state.missing[0])
-        out[NIS] = math.nan
-    remember(state, out[BETA])
+        out[at.BETA] = min(max(beta, -net.largest), net.largest)
+        out[at.BETA_STD] = math.hypot(net.error, noise.outside * outside + noise.missing * state.missing[0])
+        out[at.NIS] = math.nan
+    remember(state, out[at.BETA])
 
 
 @kernel

@@ -9,7 +9,8 @@ import pytest
 from scipy.stats import chi2
 
 from crosscomb.filters import base
-from crosscomb.filters.base import SAMPLE_WIDTH, Inputs, KernelFilter
+from crosscomb.filters import columns as at
+from crosscomb.filters.base import Inputs, KernelFilter
 from crosscomb.filters.catalogue import CATALOGUE, make_filter, settings_of
 from crosscomb.filters.reference.adaptive import (
     reference_dual_ekf,
@@ -48,7 +49,7 @@ def drive(
     """Samples of a car on tyres of these parameters at constant speed, in 1 ms steps, and its beta."""
     rng = np.random.default_rng(seed)
     slopes, by = np.zeros(track_model.SLOPES_SHAPE), np.zeros((4, 2))
-    samples = np.zeros((len(steer), SAMPLE_WIDTH))
+    samples = np.zeros((len(steer), at.SAMPLE_WIDTH))
     samples[:, base.VFL :] = np.nan
     truth = np.empty(len(steer))
     yaw_rate = beta = 0.0
@@ -121,7 +122,7 @@ def test_step_by_step_gives_the_bits_of_the_batch(name: str, rough: Inputs) -> N
 @pytest.mark.parametrize("name", NAMES)
 def test_nonsense_leaves_the_estimate_finite_and_the_tyres_in_range(name: str) -> None:
     rng = np.random.default_rng(7)
-    samples = np.zeros((2000, SAMPLE_WIDTH))
+    samples = np.zeros((2000, at.SAMPLE_WIDTH))
     samples[:, base.VX] = np.abs(20.0 + np.cumsum(rng.normal(0.0, 0.5, 2000)))
     samples[:, [base.AX, base.AY]] = rng.normal(0.0, 30.0, (2000, 2))
     samples[:, base.YAW_RATE] = rng.normal(0.0, 5.0, 2000)
@@ -147,7 +148,7 @@ def test_nonsense_leaves_the_estimate_finite_and_the_tyres_in_range(name: str) -
 @pytest.mark.parametrize("name", [n for n in NAMES if n != "ratt_ekf"])
 def test_straight_and_slow_driving_teach_nothing(name: str) -> None:
     rng = np.random.default_rng(8)
-    samples = np.zeros((3000, SAMPLE_WIDTH))
+    samples = np.zeros((3000, at.SAMPLE_WIDTH))
     samples[:, base.VX] = 25.0
     samples[:, base.AY] = 0.3 + rng.normal(0.0, 0.15, 3000)  # a banked straight
     samples[:, base.YAW_RATE] = rng.normal(0.0, 0.01, 3000)
@@ -160,7 +161,7 @@ def test_straight_and_slow_driving_teach_nothing(name: str) -> None:
 @pytest.mark.parametrize("name", [n for n in NAMES if n != "ratt_ekf"])
 def test_a_shaking_accelerometer_teaches_nothing_straight_ahead(name: str) -> None:
     rng = np.random.default_rng(9)
-    samples = np.zeros((2000, SAMPLE_WIDTH))
+    samples = np.zeros((2000, at.SAMPLE_WIDTH))
     samples[:, base.VX] = 25.0
     samples[:, base.AY] = rng.normal(0.0, 4.0, 2000)
     samples[:, base.YAW_RATE] = rng.normal(0.0, 0.005, 2000)
@@ -202,7 +203,7 @@ def own_model(
     slopes, by = np.zeros(track_model.SLOPES_SHAPE), np.zeros((4, 2))
     rates_as_states = isinstance(estimator, RATT)
     state = np.zeros(4 if rates_as_states else 2) if first is None else first.copy()
-    states, samples = [state.copy()], np.zeros((len(steer), SAMPLE_WIDTH))
+    states, samples = [state.copy()], np.zeros((len(steer), at.SAMPLE_WIDTH))
     samples[:, base.VX], samples[:, base.STEER] = vx, steer
     shocks = np.zeros((len(steer), 2)) if shocks is None else shocks
     for k in range(1, len(steer)):

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from crosscomb.errors import UsageError
-from crosscomb.filters.base import SAMPLE_WIDTH, make_inputs
+from crosscomb.filters import columns as at
+from crosscomb.filters.base import make_inputs
 from crosscomb.filters.catalogue import CATALOGUE, make_filter, settings_of
 from crosscomb.logs.prepare import complete
 from crosscomb.logs.read import read_log
@@ -61,7 +62,7 @@ def test_answers_are_finite_and_std_is_positive(name, inputs):
     assert np.isfinite(estimate.beta).all()
     assert np.isfinite(estimate.beta_std).all()
     assert (estimate.beta_std > 0.0).all()
-    nothing = replace(inputs, samples=np.full((50, SAMPLE_WIDTH), np.nan))
+    nothing = replace(inputs, samples=np.full((50, at.SAMPLE_WIDTH), np.nan))
     nothing.samples[:, [0, 4, 5, 6, 7, 8, 9]] = 0.0  # what make_inputs always fills
     assert np.isfinite(quick(name).run(nothing).beta).all()
 

@@ -8,22 +8,8 @@ import pytest
 from filterpy.kalman import IMMEstimator, MMAEFilterBank
 from scipy.stats import chi2
 
-from crosscomb.filters.base import (
-    AX,
-    AY,
-    FXF,
-    FXR,
-    MAX_BETA,
-    SAMPLE_WIDTH,
-    STEER,
-    VX,
-    YAW_RATE,
-    Estimate,
-    Inputs,
-    KernelFilter,
-    gaussian,
-    make_inputs,
-)
+from crosscomb.filters import columns as at
+from crosscomb.filters.base import MAX_BETA, Estimate, Inputs, KernelFilter, gaussian, make_inputs
 from crosscomb.filters.catalogue import make_filter
 from crosscomb.filters.combined.blends import CovarianceFusion, FuzzyBlend
 from crosscomb.filters.combined.cross_combined import CrossCombinedUKF, CrossNoise, kinematic_share
@@ -58,21 +44,21 @@ class PlainModel:
 
     def __init__(self, car, noise: ModelNoise, sample: np.ndarray, beta: float, beta_std: float) -> None:
         self.car, self.noise = car, noise
-        self.x = np.array([sample[YAW_RATE], beta])
+        self.x = np.array([sample[at.YAW_RATE], beta])
         self.P = np.diag([noise.dynamic.yaw_rate**2, beta_std**2])
         self.z, self.likelihood, self.nis = np.zeros(2), 1.0, 0.0
 
     def model(self, sample: np.ndarray) -> tuple[np.ndarray, float, np.ndarray]:
-        given = (*sample[[VX, STEER]], 0.0, *sample[[FXF, FXR, AX, AY]])
+        given = (*sample[[at.VX, at.STEER]], 0.0, *sample[[at.FXF, at.FXR, at.AX, at.AY]])
         rates, (_, ay), jacobian = single_track_rates(*self.x, *given, self.car)
         return np.array(rates), ay, np.array(jacobian).reshape(2, 4).T
 
     def predict(self, sample: np.ndarray) -> None:
-        noise, vx = self.noise, sample[VX]
+        noise, vx = self.noise, sample[at.VX]
         if self.car is None:
             cos, sin = np.cos(self.x[1]), np.sin(self.x[1])
-            rate = (sample[AY] * cos - sample[AX] * sin) * cos / vx - self.x[0]
-            slope = -(2.0 * sample[AY] * sin * cos + sample[AX] * (cos**2 - sin**2)) / vx
+            rate = (sample[at.AY] * cos - sample[at.AX] * sin) * cos / vx - self.x[0]
+            slope = -(2.0 * sample[at.AY] * sin * cos + sample[at.AX] * (cos**2 - sin**2)) / vx
             f = np.array([[1.0, 0.0], [-DT, 1.0 + DT * (slope - noise.relaxation)]])
             self.x = self.x + np.array([0.0, DT * (rate - noise.relaxation * self.x[1])])
             q = np.array([noise.yaw_acceleration, noise.accel / vx]) ** 2
@@ -90,14 +76,14 @@ class PlainModel:
     def update(self, sample: np.ndarray, r: object = None, h: object = None) -> None:
         noise = self.noise
         if self.car is None:
-            rows, innovation = np.array([[1.0, 0.0]]), sample[[YAW_RATE]] - self.x[:1]
+            rows, innovation = np.array([[1.0, 0.0]]), sample[[at.YAW_RATE]] - self.x[:1]
             r_matrix = np.array([[noise.dynamic.yaw_rate**2]])
             ay = math.exp(-0.5) / (noise.surprise * math.sqrt(2.0 * math.pi))
         else:
             _, expected, jacobian = self.model(sample)
             rows, innovation = (
                 np.array([[1.0, 0.0], jacobian[3]]),
-                sample[[YAW_RATE, AY]] - np.array([self.x[0], expected]),
+                sample[[at.YAW_RATE, at.AY]] - np.array([self.x[0], expected]),
             )
             r_matrix, ay = np.diag([noise.dynamic.yaw_rate, noise.dynamic.ay]) ** 2, 1.0
         s = rows @ self.P @ rows.T + r_matrix
@@ -123,7 +109,7 @@ def plain_models(estimator: KernelFilter, sample: np.ndarray) -> list[PlainModel
 def test_imm_agrees_with_filterpy(manoeuvre: str) -> None:
     inputs, _ = simulated(manoeuvre, duration=6.0)
     estimator = IMM(GOLF, PLAIN)
-    slow = np.flatnonzero(inputs.samples[:, VX] < 3.5)  # the plain models know no stops
+    slow = np.flatnonzero(inputs.samples[:, at.VX] < 3.5)  # the plain models know no stops
     inputs = replace(inputs, samples=inputs.samples[: slow[0] if len(slow) else None])
     samples = inputs.samples
     assert len(samples) > 200
@@ -164,14 +150,16 @@ def test_low_friction_is_seen_in_a_hard_slalom(cls: type[KernelFilter]) -> None:
     estimator, chances = cls(GOLF, noise), []
     for car in (estimator.car.high, estimator.car.low):
         rng, steps = np.random.default_rng(1), 600
-        samples = np.full((steps, SAMPLE_WIDTH), np.nan)
+        samples = np.full((steps, at.SAMPLE_WIDTH), np.nan)
         samples[:, 1:10] = 0.0
-        samples[:, VX], samples[:, STEER] = 15.0, 0.06 * np.sin(2.0 * DT * np.arange(steps))
+        samples[:, at.VX], samples[:, at.STEER] = 15.0, 0.06 * np.sin(2.0 * DT * np.arange(steps))
         state = np.zeros(2)
         for sample in samples:
-            rates, (_, ay), _ = single_track_rates(*state, 15.0, sample[STEER], 0.0, 0.0, 0.0, 0.0, 0.0, car)
+            rates, (_, ay), _ = single_track_rates(
+                *state, 15.0, sample[at.STEER], 0.0, 0.0, 0.0, 0.0, 0.0, car
+            )
             state = state + DT * np.array(rates)
-            sample[[YAW_RATE, AY]] = rng.normal([state[0], ay], [0.005, 0.2])
+            sample[[at.YAW_RATE, at.AY]] = rng.normal([state[0], ay], [0.005, 0.2])
         estimate = estimator.run(Inputs(DT, samples))
         chances.append(estimate.extra["probability_low_friction [-]"][300:].mean())
         np.testing.assert_allclose(np.sum([*estimate.extra.values()], axis=0), 1.0, rtol=1e-12)
@@ -192,8 +180,8 @@ def test_one_model_alone_is_its_filter() -> None:
 
 
 def test_kinematic_model_of_the_bank_follows_the_kinematic_equation() -> None:
-    state, sample = gaussian(), np.zeros(SAMPLE_WIDTH)
-    sample[[VX, AX, AY]] = 20.0, -2.0, 6.0
+    state, sample = gaussian(), np.zeros(at.SAMPLE_WIDTH)
+    sample[[at.VX, at.AX, at.AY]] = 20.0, -2.0, 6.0
     state.mean[:] = 0.3, -0.1
     slip_predict(state, sample, ModelNoise(relaxation=0.0), 1e-4)
     vy = 20.0 * math.tan(-0.1)
@@ -212,21 +200,21 @@ def jumping_drive(
 ) -> tuple[np.ndarray, np.ndarray]:
     noise, cars = estimator.noise.dynamic, (estimator.car.high, estimator.car.low)
     shares, stay = np.array(model_shares(estimator.noise)[:2]), math.exp(-DT / estimator.noise.stay)
-    samples, truth = np.full((steps, SAMPLE_WIDTH), np.nan), np.zeros((steps, 2))
+    samples, truth = np.full((steps, at.SAMPLE_WIDTH), np.nan), np.zeros((steps, 2))
     samples[:, 1:10] = 0.0
-    samples[:, VX], samples[:, STEER] = 20.0, 0.04 * np.sin(4.0 * DT * np.arange(steps))
-    samples[0, YAW_RATE] = 0.0
+    samples[:, at.VX], samples[:, at.STEER] = 20.0, 0.04 * np.sin(4.0 * DT * np.arange(steps))
+    samples[0, at.YAW_RATE] = 0.0
     truth[0] = rng.normal(0.0, [noise.yaw_rate, math.radians(2.0)])
     mode = rng.choice(2, p=shares / shares.sum())
     for k in range(1, steps):
         if rng.random() > stay:
             mode = rng.choice(2, p=shares / shares.sum())
-        given = (20.0, samples[k, STEER], 0.0, 0.0, 0.0, 0.0, 0.0)
+        given = (20.0, samples[k, at.STEER], 0.0, 0.0, 0.0, 0.0, 0.0)
         rates, _, _ = single_track_rates(*truth[k - 1], *given, cars[mode])
         shaken = rng.normal(0.0, np.sqrt(DT) * np.array([noise.yaw_acceleration, noise.slip_rate]))
         truth[k] = truth[k - 1] + DT * np.array(rates) + shaken
         _, (_, ay), _ = single_track_rates(*truth[k], *given, cars[mode])
-        samples[k, [YAW_RATE, AY]] = rng.normal([truth[k, 0], ay], [noise.yaw_rate, noise.ay])
+        samples[k, [at.YAW_RATE, at.AY]] = rng.normal([truth[k, 0], ay], [noise.yaw_rate, noise.ay])
     return samples, truth
 
 
@@ -313,20 +301,20 @@ def test_fuzzy_blend_mixes_its_members_by_its_index() -> None:
 
 def test_steady_state_index_tells_steady_from_transient_and_counts_the_yaw_rate_most() -> None:
     n = 600
-    steady = np.zeros((n, SAMPLE_WIDTH))
-    steady[:, [VX, AY, YAW_RATE, STEER]] = 20.0, 4.0, 0.2, 0.03
+    steady = np.zeros((n, at.SAMPLE_WIDTH))
+    steady[:, [at.VX, at.AY, at.YAW_RATE, at.STEER]] = 20.0, 4.0, 0.2, 0.03
     (index,) = FuzzyBlend(GOLF).run(Inputs(DT, steady)).extra.values()
     np.testing.assert_array_equal(index, 1.0)
     lowest = {}
-    for column, step in ((AY, 6.0), (YAW_RATE, 0.4), (STEER, 0.1)):
+    for column, step in ((at.AY, 6.0), (at.YAW_RATE, 0.4), (at.STEER, 0.1)):
         samples = steady.copy()
         samples[300:, column] += step
         (index,) = FuzzyBlend(GOLF).run(Inputs(DT, samples)).extra.values()
         np.testing.assert_array_equal(index[:300], 1.0)
         assert index[-1] == 1.0, "a new steady state"
         lowest[column] = index.min()
-    assert lowest[AY] == lowest[STEER] == pytest.approx(0.75)
-    assert lowest[YAW_RATE] == pytest.approx(0.5)
+    assert lowest[at.AY] == lowest[at.STEER] == pytest.approx(0.75)
+    assert lowest[at.YAW_RATE] == pytest.approx(0.5)
 
 
 def test_fusion_weighs_by_variance_and_is_never_surer_than_its_surest_member() -> None:
@@ -351,8 +339,8 @@ def test_cross_combination_hands_over_by_speed_and_yaw_rate() -> None:
     noise = CrossNoise()
 
     def share(vx: float, yaw_rate: float) -> float:
-        sample = np.zeros(SAMPLE_WIDTH)
-        sample[[VX, YAW_RATE]] = vx, yaw_rate
+        sample = np.zeros(at.SAMPLE_WIDTH)
+        sample[[at.VX, at.YAW_RATE]] = vx, yaw_rate
         return float(kinematic_share(sample, noise))
 
     assert share(20.0, 0.0) < 0.02
@@ -392,24 +380,24 @@ each_filter = pytest.mark.parametrize("name", NAMES)
 def rough(steps: int = 900) -> Inputs:
     """A slalom at the limit with gaps in every channel, stops, and fixes that come and go."""
     rng, t = np.random.default_rng(4), DT * np.arange(steps)
-    samples = np.full((steps, SAMPLE_WIDTH), np.nan)
+    samples = np.full((steps, at.SAMPLE_WIDTH), np.nan)
     samples[:, :10] = 0.0
-    samples[:, VX] = 18.0 + 6.0 * np.sin(0.3 * t) + rng.normal(0.0, 0.05, steps)
-    samples[:, STEER] = 0.08 * np.sin(2.0 * t)
-    samples[:, YAW_RATE] = 0.4 * np.sin(2.0 * t - 0.2) + rng.normal(0.0, 0.01, steps)
-    samples[:, AY] = 8.0 * np.sin(2.0 * t - 0.2) + rng.normal(0.0, 0.4, steps)
-    samples[:, AX] = rng.normal(0.0, 0.3, steps)
-    samples[::20, 14] = samples[::20, VX]
+    samples[:, at.VX] = 18.0 + 6.0 * np.sin(0.3 * t) + rng.normal(0.0, 0.05, steps)
+    samples[:, at.STEER] = 0.08 * np.sin(2.0 * t)
+    samples[:, at.YAW_RATE] = 0.4 * np.sin(2.0 * t - 0.2) + rng.normal(0.0, 0.01, steps)
+    samples[:, at.AY] = 8.0 * np.sin(2.0 * t - 0.2) + rng.normal(0.0, 0.4, steps)
+    samples[:, at.AX] = rng.normal(0.0, 0.3, steps)
+    samples[::20, 14] = samples[::20, at.VX]
     samples[::20, 15:] = rng.uniform(-3.1, 3.1, (len(samples[::20]), 2))
-    for column, held in ((AX, None), (AY, None), (YAW_RATE, None), (VX, 8), (STEER, 9)):
+    for column, held in ((at.AX, None), (at.AY, None), (at.YAW_RATE, None), (at.VX, 8), (at.STEER, 9)):
         for start in rng.integers(1, steps - 60, 4):
             stop = start + rng.integers(1, 60)
             samples[start:stop, column] = np.nan if held is None else samples[start - 1, column]
             if held is not None:
                 samples[start:stop, held] = 1.0
-    samples[400:440, VX] = 0.0
-    samples[440:460, VX] = -2.0
-    samples[800:860, VX] = 3.0 + 0.2 * np.sin(np.arange(60))
+    samples[400:440, at.VX] = 0.0
+    samples[440:460, at.VX] = -2.0
+    samples[800:860, at.VX] = 3.0 + 0.2 * np.sin(np.arange(60))
     return Inputs(DT, samples)
 
 
@@ -430,7 +418,7 @@ def test_steps_give_the_same_bits_as_a_run_and_everything_is_finite(name: str) -
 @each_filter
 def test_below_the_gate_the_car_rolls(name: str) -> None:
     inputs = rough()
-    slow = ~(inputs.samples[:, VX] > 3.0)
+    slow = ~(inputs.samples[:, at.VX] > 3.0)
     rest = slow | np.roll(slow, 1)
     rolling = KinematicKF(GOLF).run(inputs)
     estimate = make_filter(name, GOLF).run(inputs)
@@ -443,7 +431,7 @@ def test_below_the_gate_the_car_rolls(name: str) -> None:
 def test_a_mirrored_drive_gives_the_mirrored_answer(name: str) -> None:
     inputs = rough()
     mirrored = inputs.samples.copy()
-    mirrored[:, [AY, YAW_RATE, STEER, 5, 15, 16]] *= -1.0
+    mirrored[:, [at.AY, at.YAW_RATE, at.STEER, 5, 15, 16]] *= -1.0
     estimate = make_filter(name, GOLF).run(inputs)
     other = make_filter(name, GOLF).run(replace(inputs, samples=mirrored))
     tolerance = 1e-6 if name == "cross_combined_ukf" else 1e-9
@@ -452,7 +440,7 @@ def test_a_mirrored_drive_gives_the_mirrored_answer(name: str) -> None:
 
 @each_filter
 def test_a_wild_sample_leaves_the_answer_finite(name: str) -> None:
-    for column, value in ((AX, 1e6), (AY, -1e6), (YAW_RATE, 1e6), (STEER, 1.5), (14, 1e6)):
+    for column, value in ((at.AX, 1e6), (at.AY, -1e6), (at.YAW_RATE, 1e6), (at.STEER, 1.5), (14, 1e6)):
         inputs = rough()
         inputs.samples[700, column] = value
         estimate = make_filter(name, GOLF).run(inputs)

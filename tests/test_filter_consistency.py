@@ -11,19 +11,9 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
+from crosscomb.filters import columns as at
 from crosscomb.filters.algebra.resampling import resample
-from crosscomb.filters.base import (
-    AX,
-    AY,
-    LOW_SPEED_STD,
-    SAMPLE_WIDTH,
-    STEER,
-    STEER_REAR,
-    VX,
-    YAW_RATE,
-    Inputs,
-    KernelFilter,
-)
+from crosscomb.filters.base import LOW_SPEED_STD, Inputs, KernelFilter
 from crosscomb.filters.combined.blends import CovarianceFusion, FusionNoise, FuzzyBlend, FuzzyNoise
 from crosscomb.filters.kinematic.kf import KinematicKF, KinematicNoise
 from crosscomb.filters.kinematic.pf import KinematicPF
@@ -57,12 +47,12 @@ Draw = Callable[[np.random.Generator, Any, Any], np.ndarray]
 
 def turn(ay: float) -> np.ndarray:
     """Samples of a left turn that tightens and opens, without states and measurements."""
-    samples = np.zeros((STEPS, SAMPLE_WIDTH))
-    samples[:, VX] = 20.0
+    samples = np.zeros((STEPS, at.SAMPLE_WIDTH))
+    samples[:, at.VX] = 20.0
     swing = 0.6 + 0.4 * np.sin(3.0 * DT * np.arange(STEPS))
-    samples[:, YAW_RATE] = ay / 20.0 * swing
-    samples[:, AY] = ay * swing
-    samples[:, STEER] = ay * swing * 0.009
+    samples[:, at.YAW_RATE] = ay / 20.0 * swing
+    samples[:, at.AY] = ay * swing
+    samples[:, at.STEER] = ay * swing * 0.009
     return samples
 
 
@@ -84,12 +74,12 @@ def kinematic_drive(rng: np.random.Generator, draw: Draw = normal) -> Drive:
     """
     noise, car, samples = KF.noise, KF.car, turn(6.0)
     truth = np.empty((STEPS, 4))
-    rolling = slip_of_rolling_rear(samples[0, STEER], 0.0, car.a, car.b)
+    rolling = slip_of_rolling_rear(samples[0, at.STEER], 0.0, car.a, car.b)
     truth[0, :2] = rng.normal([20.0, 20.0 * np.tan(rolling)], [noise.speed, 20.0 * LOW_SPEED_STD])
     truth[0, 2:] = rng.normal(0.0, noise.accel_bias, 2)
     keep = np.exp(-DT / noise.bias_time)
     for k in range(1, STEPS):
-        ax, ay, yaw_rate = samples[k, [AX, AY, YAW_RATE]]
+        ax, ay, yaw_rate = samples[k, [at.AX, at.AY, at.YAW_RATE]]
         held = np.reshape(input_gain(yaw_rate, DT), (2, 2)) @ ([ax, ay] - truth[k - 1, 2:])
         turned = np.reshape(rotation(yaw_rate, DT), (2, 2)) @ truth[k - 1, :2]
         across = np.hypot(noise.accel, noise.ay_scale * ay)
@@ -98,11 +88,11 @@ def kinematic_drive(rng: np.random.Generator, draw: Draw = normal) -> Drive:
             rng, keep * truth[k - 1, 2:], np.full(2, noise.accel_bias * np.sqrt(1.0 - keep**2))
         )
         vx, vy = truth[k, :2]
-        samples[k, VX] = vx + rng.normal(0.0, noise.speed)
-        front = np.tan(samples[k, STEER])
+        samples[k, at.VX] = vx + rng.normal(0.0, noise.speed)
+        front = np.tan(samples[k, at.STEER])
         share = np.exp(-(((yaw_rate - vx * front / (car.a + car.b)) / noise.disagreement) ** 2))
         rear = (vy - car.b * yaw_rate + rng.normal(0.0, noise.rolling / np.sqrt(DT * share))) / vx
-        samples[k, [STEER, STEER_REAR]] = np.arctan([front + rear, rear])
+        samples[k, [at.STEER, at.STEER_REAR]] = np.arctan([front + rear, rear])
     return samples, truth
 
 
@@ -110,16 +100,16 @@ def dynamic_drive(rng: np.random.Generator, estimator: DynamicEKF, draw: Draw = 
     """A drive of the single track with white noise on its rates and on its measurements."""
     noise, car, samples = estimator.noise, estimator.car, turn(3.0)
     truth = np.empty((STEPS, 2))
-    rolling = slip_of_rolling_rear(samples[0, STEER], 0.0, car.a, car.b)
-    truth[0] = draw(rng, [samples[0, YAW_RATE], rolling], [noise.yaw_rate, LOW_SPEED_STD])
+    rolling = slip_of_rolling_rear(samples[0, at.STEER], 0.0, car.a, car.b)
+    truth[0] = draw(rng, [samples[0, at.YAW_RATE], rolling], [noise.yaw_rate, LOW_SPEED_STD])
     assert stable_substeps(20.0, DT, car) == 1
     for k in range(1, STEPS):
-        given = (20.0, samples[k, STEER], 0.0, 0.0, 0.0, 0.0, 0.0)
+        given = (20.0, samples[k, at.STEER], 0.0, 0.0, 0.0, 0.0, 0.0)
         rates, _, _ = single_track_rates(*truth[k - 1], *given, car)
         walk = np.sqrt(DT) * np.array([noise.yaw_acceleration, noise.slip_rate])
         truth[k] = draw(rng, truth[k - 1] + DT * np.array(rates), walk)
         _, (_, ay), _ = single_track_rates(*truth[k], *given, car)
-        samples[k, [YAW_RATE, AY]] = rng.normal([truth[k, 0], ay], [noise.yaw_rate, noise.ay])
+        samples[k, [at.YAW_RATE, at.AY]] = rng.normal([truth[k, 0], ay], [noise.yaw_rate, noise.ay])
     return samples, truth
 
 
@@ -177,8 +167,8 @@ def first_states(sample: np.ndarray, uniform: np.ndarray) -> np.ndarray:
     Less than the filter's own first particles: a few thousand cannot fill that box in six dimensions.
     """
     car = PF.car
-    side = car.mass * sample[AY] / (car.a + car.b)
-    centre = np.array([sample[YAW_RATE], 0.01, 0.0, 0.0, car.b * side, car.a * side])
+    side = car.mass * sample[at.AY] / (car.a + car.b)
+    centre = np.array([sample[at.YAW_RATE], 0.01, 0.0, 0.0, car.b * side, car.a * side])
     return centre + uniform * [0.05, 0.05, *[0.7 * car.mass] * 4]
 
 
@@ -193,9 +183,9 @@ def particle_drive(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np
     for k in range(1, STEPS):
         sample, shaken = samples[k], walk * rng.uniform(-1.0, 1.0, 6)
         state = state + np.array([0.0, 0.0, *shaken[2:]])
-        *rates, ax, ay = random_walk_rates(state, 20.0, sample[STEER], 0.0, car)
+        *rates, ax, ay = random_walk_rates(state, 20.0, sample[at.STEER], 0.0, car)
         state = state + np.array([*(DT * np.array(rates) + shaken[:2]), 0.0, 0.0, 0.0, 0.0])
-        sample[[YAW_RATE, AX, AY]] = rng.normal(
+        sample[[at.YAW_RATE, at.AX, at.AY]] = rng.normal(
             [state[0], ax, ay], [noise.yaw_rate, noise.accel, noise.accel]
         )
         truth[k], pseudo[k] = state, rng.normal(state[1], noise.pseudo / np.sqrt(DT))
@@ -290,7 +280,7 @@ def nees_of_blends(slip_rate: float) -> dict[str, np.ndarray]:
     nees = {name: np.zeros(len(instants)) for name in tested}
     for _ in range(RUNS):
         samples, truth = dynamic_drive(rng, drive_of)
-        samples[:, AX] = -truth[:, 0] * 20.0 * np.tan(truth[:, 1])  # the speed is held
+        samples[:, at.AX] = -truth[:, 0] * 20.0 * np.tan(truth[:, 1])  # the speed is held
         for name, estimator in tested.items():
             estimate = estimator.run(Inputs(DT, samples))
             nees[name] += (((estimate.beta - truth[:, 1]) / estimate.beta_std) ** 2)[instants]

@@ -8,26 +8,9 @@ import pandas as pd
 import pytest
 from scipy.stats import kstest
 
+from crosscomb.filters import columns as at
 from crosscomb.filters.algebra.resampling import resample
-from crosscomb.filters.base import (
-    AX,
-    AY,
-    FXF,
-    FXR,
-    LOW_SPEED_STD,
-    MAX_BETA,
-    SAMPLE_WIDTH,
-    STEER,
-    STEER_HELD,
-    STEER_REAR,
-    VX,
-    VX_HELD,
-    YAW_RATE,
-    Estimate,
-    Inputs,
-    KernelFilter,
-    make_inputs,
-)
+from crosscomb.filters.base import LOW_SPEED_STD, MAX_BETA, Estimate, Inputs, KernelFilter, make_inputs
 from crosscomb.filters.kinematic.kf import KinematicKF, KinematicNoise
 from crosscomb.filters.random_walk.pf import (
     ParticleNoise,
@@ -68,23 +51,23 @@ def slalom(
     """Noiseless slalom of the single-track model at 12 to 24 m/s, and its beta ``(n,) [rad]``."""
     car = single_track(GOLF, tyre)
     t = DT * np.arange(steps)
-    samples = np.zeros((steps, SAMPLE_WIDTH))
-    samples[:, VX] = 18.0 + 6.0 * np.sin(0.3 * t)
-    samples[:, AX] = 1.8 * np.cos(0.3 * t)
-    samples[:, FXF] = samples[:, FXR] = 0.5 * car.mass * samples[:, AX]
-    samples[:, STEER] = 0.02 + steer * np.sin(2.0 * t)
-    samples[:, STEER_REAR] = rear * samples[:, STEER]
+    samples = np.zeros((steps, at.SAMPLE_WIDTH))
+    samples[:, at.VX] = 18.0 + 6.0 * np.sin(0.3 * t)
+    samples[:, at.AX] = 1.8 * np.cos(0.3 * t)
+    samples[:, at.FXF] = samples[:, at.FXR] = 0.5 * car.mass * samples[:, at.AX]
+    samples[:, at.STEER] = 0.02 + steer * np.sin(2.0 * t)
+    samples[:, at.STEER_REAR] = rear * samples[:, at.STEER]
     beta = np.empty(steps)
     # Starts as the filters do: they take the first yaw rate as it is, and beta as of rolling.
-    state = np.array([0.1, slip_of_rolling_rear(*samples[0, [STEER, STEER_REAR]], car.a, car.b)])
+    state = np.array([0.1, slip_of_rolling_rear(*samples[0, [at.STEER, at.STEER_REAR]], car.a, car.b)])
     for k, sample in enumerate(samples):
-        given = (*sample[[VX, STEER, STEER_REAR, FXF, FXR, AX]], 0.0)
-        substeps = stable_substeps(sample[VX], DT, car) if k else 0
+        given = (*sample[[at.VX, at.STEER, at.STEER_REAR, at.FXF, at.FXR, at.AX]], 0.0)
+        substeps = stable_substeps(sample[at.VX], DT, car) if k else 0
         for _ in range(substeps):
             rates, _, _ = single_track_rates(*state, *given, car)
             state = state + DT / substeps * np.array(rates)
-        _, (_, sample[AY]), _ = single_track_rates(*state, *given, car)
-        sample[YAW_RATE], beta[k] = state
+        _, (_, sample[at.AY]), _ = single_track_rates(*state, *given, car)
+        sample[at.YAW_RATE], beta[k] = state
     return Inputs(DT, samples), beta
 
 
@@ -92,7 +75,9 @@ def noisy(inputs: Inputs, seed: int = 0) -> Inputs:
     """The samples with sensor noise on speed, accelerations and yaw rate."""
     rng = np.random.default_rng(seed)
     samples = inputs.samples.copy()
-    samples[:, [VX, AX, AY, YAW_RATE]] += rng.normal(0.0, [0.05, 0.2, 0.4, 0.01], (len(samples), 4))
+    samples[:, [at.VX, at.AX, at.AY, at.YAW_RATE]] += rng.normal(
+        0.0, [0.05, 0.2, 0.4, 0.01], (len(samples), 4)
+    )
     return replace(inputs, samples=samples)
 
 
@@ -100,7 +85,13 @@ def with_gaps(inputs: Inputs, seed: int = 1) -> Inputs:
     """The samples with gaps of up to 0.6 s in every channel."""
     rng = np.random.default_rng(seed)
     samples = inputs.samples.copy()
-    for column, held in ((AX, None), (AY, None), (YAW_RATE, None), (VX, VX_HELD), (STEER, STEER_HELD)):
+    for column, held in (
+        (at.AX, None),
+        (at.AY, None),
+        (at.YAW_RATE, None),
+        (at.VX, at.VX_HELD),
+        (at.STEER, at.STEER_HELD),
+    ):
         for start in rng.integers(1, len(samples), max(len(samples) // 150, 1)):
             stop = start + rng.integers(1, 60)
             if held is None:
@@ -114,16 +105,16 @@ def with_gaps(inputs: Inputs, seed: int = 1) -> Inputs:
 def with_stops(inputs: Inputs) -> Inputs:
     """The samples with a stop, a stretch in reverse and crawling about the gate."""
     samples = inputs.samples.copy()
-    samples[400:440, VX] = 0.0
-    samples[440:460, VX] = -2.0
-    samples[800:860, VX] = MIN_SPEED + 0.2 * np.sin(np.arange(60))
+    samples[400:440, at.VX] = 0.0
+    samples[440:460, at.VX] = -2.0
+    samples[800:860, at.VX] = MIN_SPEED + 0.2 * np.sin(np.arange(60))
     return replace(inputs, samples=samples)
 
 
 def mirrored(inputs: Inputs) -> Inputs:
     """The same drive with left and right exchanged."""
     samples = inputs.samples.copy()
-    samples[:, [AY, YAW_RATE, STEER, STEER_REAR]] *= -1.0
+    samples[:, [at.AY, at.YAW_RATE, at.STEER, at.STEER_REAR]] *= -1.0
     return replace(inputs, samples=samples)
 
 
@@ -226,7 +217,7 @@ def test_the_scatter_would_show_a_wrong_particle_filter(
     assert np.abs(scatter(pf_runs(wrong, pf_drive()), plain_pf_runs)).max() > 4.5
 
 
-@pytest.mark.parametrize("missing", [[], [YAW_RATE], [AX], [AY], [YAW_RATE, AX, AY]])
+@pytest.mark.parametrize("missing", [[], [at.YAW_RATE], [at.AX], [at.AY], [at.YAW_RATE, at.AX, at.AY]])
 def test_particles_without_noise_follow_the_model_exactly(missing: list[int]) -> None:
     estimator = RandomWalkPF(
         GOLF, NOISE._replace(force=0.0, yaw_acceleration=0.0, slip_rate=0.0), particles=300
@@ -240,9 +231,9 @@ def test_particles_without_noise_follow_the_model_exactly(missing: list[int]) ->
         sample[missing] = np.nan
         move_and_weigh(particles, sample, z_beta, std_beta, car, noise, DT)
         for i in range(300):
-            *rates, ax, ay = random_walk_rates(x[:, i], *sample[[VX, STEER, STEER_REAR]], car)
+            *rates, ax, ay = random_walk_rates(x[:, i], *sample[[at.VX, at.STEER, at.STEER_REAR]], car)
             x[:2, i] += DT * np.array(rates)
-            errors = np.array([x[0, i], ax, ay]) - sample[[YAW_RATE, AX, AY]]
+            errors = np.array([x[0, i], ax, ay]) - sample[[at.YAW_RATE, at.AX, at.AY]]
             misfit = 0.5 * (errors / [noise.yaw_rate, noise.accel, noise.accel]) ** 2
             pseudo = 0.5 * DT * (x[1, i] - z_beta) ** 2 / (noise.pseudo**2 + std_beta**2)
             log_weights[i] -= np.nansum(np.minimum(misfit, 0.5 * 5.0**2)) + pseudo
@@ -261,7 +252,9 @@ def test_particles_are_shaken_independently_and_as_much_as_the_settings_say() ->
     shaken += particles.x
     for i in range(5000):  # what is left when the forces have done their part is noise
         moved = np.array([0.2, -0.05, *particles.x[2:, i]])
-        yaw_acceleration, slip_rate, _, _ = random_walk_rates(moved, *sample[[VX, STEER, STEER_REAR]], car)
+        yaw_acceleration, slip_rate, _, _ = random_walk_rates(
+            moved, *sample[[at.VX, at.STEER, at.STEER_REAR]], car
+        )
         shaken[:2, i] -= DT * yaw_acceleration, DT * slip_rate
     size = np.array([noise.yaw_acceleration, noise.slip_rate, *[car.mass * noise.force] * 4]) * np.sqrt(DT)
     np.testing.assert_allclose(np.cov(shaken / size[:, None]), np.eye(6), atol=4.5 / np.sqrt(5000))
@@ -334,7 +327,7 @@ def test_a_seed_gives_the_same_bits_and_another_seed_others() -> None:
 @pytest.mark.parametrize("tyre", ["linear", "dugoff"])
 def test_dynamic_ekf_follows_its_own_model(tyre: str) -> None:
     inputs, beta = slalom(1500, tyre)
-    in_use = np.hypot(inputs.samples[:, AX], inputs.samples[:, AY]).max()
+    in_use = np.hypot(inputs.samples[:, at.AX], inputs.samples[:, at.AY]).max()
     assert 0.5 * GOLF.friction * GRAVITY < in_use < GOLF.friction * GRAVITY / FRICTION_MARGIN, (
         "beyond linear tyres"
     )
@@ -350,19 +343,19 @@ NO_ROLLING = KinematicNoise(disagreement=1e-9)
 def test_kinematic_kf_follows_its_own_model() -> None:
     inputs, _ = slalom(1500)
     samples = inputs.samples
-    samples[:, AY] = samples[:, VX] * samples[:, YAW_RATE] + 3.0 * np.sin(5.0 * DT * np.arange(1500))
+    samples[:, at.AY] = samples[:, at.VX] * samples[:, at.YAW_RATE] + 3.0 * np.sin(5.0 * DT * np.arange(1500))
     velocity = np.array(
-        [18.0, 18.0 * np.tan(slip_of_rolling_rear(*samples[0, [STEER, STEER_REAR]], 1.264, 1.367))]
+        [18.0, 18.0 * np.tan(slip_of_rolling_rear(*samples[0, [at.STEER, at.STEER_REAR]], 1.264, 1.367))]
     )
     truth = np.empty((1500, 2))
     for k, sample in enumerate(samples):
         if k:
-            ax, ay, yaw_rate = sample[[AX, AY, YAW_RATE]]
+            ax, ay, yaw_rate = sample[[at.AX, at.AY, at.YAW_RATE]]
             turned = np.reshape(rotation(yaw_rate, DT), (2, 2)) @ velocity
             velocity = turned + np.reshape(input_gain(yaw_rate, DT), (2, 2)) @ [ax, ay]
         truth[k] = velocity
-    samples[:, VX] = truth[:, 0]
-    assert samples[:, VX].min() > MIN_SPEED
+    samples[:, at.VX] = truth[:, 0]
+    assert samples[:, at.VX].min() > MIN_SPEED
     estimate = KinematicKF(GOLF, NO_ROLLING).run(inputs)
     expected = np.arctan2(truth[:, 1], truth[:, 0])
     assert np.ptp(expected) > np.radians(5.0)
@@ -413,9 +406,11 @@ def test_state_stays_a_probability(name: str, inputs_of: str) -> None:
 @each_filter
 def test_below_the_gate_the_car_rolls(name: str) -> None:
     inputs = drive("with gaps")
-    slow = ~(inputs.samples[:, VX] > MIN_SPEED)
+    slow = ~(inputs.samples[:, at.VX] > MIN_SPEED)
     after = np.flatnonzero(~slow & np.roll(slow, 1))
-    rolling = [slip_of_rolling_rear(*row, 1.264, 1.367) for row in inputs.samples[:, [STEER, STEER_REAR]]]
+    rolling = [
+        slip_of_rolling_rear(*row, 1.264, 1.367) for row in inputs.samples[:, [at.STEER, at.STEER_REAR]]
+    ]
     estimate = FILTERS[name].run(inputs)
     for rows in (slow, after):
         np.testing.assert_array_equal(estimate.beta[rows], np.array(rolling)[rows])
@@ -430,9 +425,9 @@ def test_a_stop_makes_the_filter_forget(name: str) -> None:
     inputs, other = drive("noisy"), drive("noisy").samples.copy()
     # What the kinematic filter has learnt of its sensors it keeps: see the test below.
     estimator = KinematicKF(GOLF, KinematicNoise(accel_bias=0.0)) if name == "kinematic_kf" else FILTERS[name]
-    other[:500, [AX, AY, YAW_RATE]] += 1.0
+    other[:500, [at.AX, at.AY, at.YAW_RATE]] += 1.0
     first, second = inputs.samples.copy(), other
-    first[500, VX] = second[500, VX] = 0.0
+    first[500, at.VX] = second[500, at.VX] = 0.0
     one, two = (estimator.run(replace(inputs, samples=samples)) for samples in (first, second))
     assert not np.allclose(one.beta[1:500], two.beta[1:500])
     if name in KALMAN:  # the particles go on with other random numbers
@@ -444,9 +439,9 @@ def test_a_stop_makes_the_filter_forget(name: str) -> None:
 @each_filter
 def test_a_wild_sample_leaves_the_answer_finite(name: str) -> None:
     inputs = drive("noisy")
-    for column in (AX, AY, YAW_RATE, STEER):
+    for column in (at.AX, at.AY, at.YAW_RATE, at.STEER):
         samples = inputs.samples.copy()
-        samples[700, column] = 1e6 if column != STEER else 1.5
+        samples[700, column] = 1e6 if column != at.STEER else 1.5
         estimate = FILTERS[name].run(replace(inputs, samples=samples))
         assert np.isfinite(estimate.beta).all()
         assert np.isfinite(estimate.beta_std).all()
@@ -458,7 +453,14 @@ def test_a_wild_sample_leaves_the_answer_finite(name: str) -> None:
 def log(steps: int = 600, **columns: np.ndarray) -> Signals:
     """A steady left turn of the Golf, as a log at 100 Hz."""
     samples = slalom(steps, steer=0.0)[0].samples
-    names = {"vx": VX, "ax": AX, "ay": AY, "yaw_rate": YAW_RATE, "steer": STEER, "steer_rear": STEER_REAR}
+    names = {
+        "vx": at.VX,
+        "ax": at.AX,
+        "ay": at.AY,
+        "yaw_rate": at.YAW_RATE,
+        "steer": at.STEER,
+        "steer_rear": at.STEER_REAR,
+    }
     table = {name: samples[:, column] for name, column in names.items()}
     return Signals("log", pd.DataFrame({"t": DT * np.arange(steps), **table, **columns}))
 
@@ -472,33 +474,33 @@ def without(signals: Signals, channel: str, start: int, stop: int) -> Signals:
 def test_inputs_hold_what_models_need_and_say_so() -> None:
     samples = make_inputs(without(without(log(20), "vx", 5, 9), "steer", 0, 3), GOLF, DT).samples
     whole = make_inputs(log(20), GOLF, DT).samples
-    np.testing.assert_array_equal(samples[5:9, VX], whole[4, VX])
-    np.testing.assert_array_equal(samples[:3, STEER], 0.0)
-    np.testing.assert_array_equal(np.flatnonzero(samples[:, VX_HELD]), range(5, 9))
-    np.testing.assert_array_equal(np.flatnonzero(samples[:, STEER_HELD]), range(3))
-    np.testing.assert_array_equal(whole[:, [VX_HELD, STEER_HELD]], 0.0)
-    assert np.isnan(make_inputs(without(log(20), "ay", 5, 9), GOLF, DT).samples[5:9, AY]).all()
+    np.testing.assert_array_equal(samples[5:9, at.VX], whole[4, at.VX])
+    np.testing.assert_array_equal(samples[:3, at.STEER], 0.0)
+    np.testing.assert_array_equal(np.flatnonzero(samples[:, at.VX_HELD]), range(5, 9))
+    np.testing.assert_array_equal(np.flatnonzero(samples[:, at.STEER_HELD]), range(3))
+    np.testing.assert_array_equal(whole[:, [at.VX_HELD, at.STEER_HELD]], 0.0)
+    assert np.isnan(make_inputs(without(log(20), "ay", 5, 9), GOLF, DT).samples[5:9, at.AY]).all()
 
 
 def test_inputs_take_the_gravity_of_body_roll_out_of_ay() -> None:
     rolling = GOLF.model_copy(update={"roll_gradient": 0.007})
     felt = log(20).with_columns(ay=5.0 + GRAVITY * np.sin(0.007 * np.full(20, 5.0)))
-    np.testing.assert_allclose(make_inputs(felt, rolling, DT).samples[:, AY], 5.0, rtol=1e-4)
+    np.testing.assert_allclose(make_inputs(felt, rolling, DT).samples[:, at.AY], 5.0, rtol=1e-4)
 
 
 def test_inputs_know_the_longitudinal_forces() -> None:
     braking = log(20).with_columns(ax=np.full(20, -4.0))
     samples = make_inputs(braking, GOLF, DT).samples
-    np.testing.assert_allclose(samples[:, FXF] + samples[:, FXR], -4.0 * GOLF.mass)
+    np.testing.assert_allclose(samples[:, at.FXF] + samples[:, at.FXR], -4.0 * GOLF.mass)
     share = GOLF.cg_to_rear_axle / (GOLF.cg_to_front_axle + GOLF.cg_to_rear_axle)
-    np.testing.assert_allclose(samples[:, FXF], -4.0 * GOLF.mass * share)
+    np.testing.assert_allclose(samples[:, at.FXF], -4.0 * GOLF.mass * share)
     torques = {"torque_fl": 300.0, "torque_fr": 200.0, "torque_rl": -50.0, "torque_rr": 0.0}
     known = braking.with_columns(**{name: np.full(20, value) for name, value in torques.items()})
     samples = make_inputs(without(known, "torque_rr", 10, 20), GOLF, DT).samples
     np.testing.assert_allclose(
-        samples[:10, [FXF, FXR]], [[500.0 / GOLF.wheel_radius, -50.0 / GOLF.wheel_radius]] * 10
+        samples[:10, [at.FXF, at.FXR]], [[500.0 / GOLF.wheel_radius, -50.0 / GOLF.wheel_radius]] * 10
     )
-    np.testing.assert_allclose(samples[10:, FXF], -4.0 * GOLF.mass * share, err_msg="else from ax")
+    np.testing.assert_allclose(samples[10:, at.FXF], -4.0 * GOLF.mass * share, err_msg="else from ax")
 
 
 SHARP = {

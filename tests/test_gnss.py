@@ -6,23 +6,8 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from crosscomb.filters.base import (
-    AX,
-    AY,
-    GNSS_COURSE,
-    GNSS_SPEED,
-    HEADING,
-    LOW_SPEED_STD,
-    SAMPLE_WIDTH,
-    STEER,
-    STEER_HELD,
-    VX,
-    VX_HELD,
-    YAW_RATE,
-    Inputs,
-    KernelFilter,
-    make_inputs,
-)
+from crosscomb.filters import columns as at
+from crosscomb.filters.base import LOW_SPEED_STD, Inputs, KernelFilter, make_inputs
 from crosscomb.filters.kinematic.gnss_kf import (
     UNKNOWN_HEADING,
     GnssKinematicKF,
@@ -40,7 +25,7 @@ from crosscomb.training.simulation.simulate import simulate_log
 
 DT = 0.01
 GOLF = load_vehicle("golf_gti_2018")
-FIXES = [GNSS_SPEED, GNSS_COURSE, HEADING]
+FIXES = [at.GNSS_SPEED, at.GNSS_COURSE, at.HEADING]
 FILTERS: list[KernelFilter] = [GnssKinematicKF(GOLF), GnssDynamicObserver(GOLF)]
 each_filter = pytest.mark.parametrize("estimator", FILTERS, ids=["kinematic", "dynamic"])
 
@@ -59,7 +44,7 @@ def drive(manoeuvre: str, seed: int = 7, duration: float = 20.0) -> tuple[Inputs
     fix = np.arange(n) % 20 == 0
     values = (speed + rng.normal(0.0, 0.05, n), course, heading + rng.normal(0.0, 0.005, n))
     for column, value in zip(FIXES, values, strict=True):
-        angle = value if column == GNSS_SPEED else np.arctan2(np.sin(value), np.cos(value))
+        angle = value if column == at.GNSS_SPEED else np.arctan2(np.sin(value), np.cos(value))
         inputs.samples[:, column] = np.where(fix, angle, np.nan)
     return inputs, beta
 
@@ -78,16 +63,16 @@ TWINS = [reference_gnss_kinematic_kf, reference_gnss_dynamic_observer]
 
 
 @pytest.mark.parametrize("manoeuvre", ["slalom", "drift"])
-@pytest.mark.parametrize("lost", [[], [HEADING], FIXES], ids=["two antennas", "one antenna", "no fix"])
+@pytest.mark.parametrize("lost", [[], [at.HEADING], FIXES], ids=["two antennas", "one antenna", "no fix"])
 @pytest.mark.parametrize(
     ("estimator", "twin"), list(zip(FILTERS, TWINS, strict=True)), ids=["kinematic", "dynamic"]
 )
 def test_kernels_agree_with_filterpy(estimator, twin, lost, manoeuvre) -> None:
     inputs = without(drive(manoeuvre, seed=5)[0], lost)
-    slow = np.flatnonzero(inputs.samples[:, VX] < 3.5)  # the twins know no stops
+    slow = np.flatnonzero(inputs.samples[:, at.VX] < 3.5)  # the twins know no stops
     inputs = replace(inputs, samples=inputs.samples[: slow[0] if len(slow) else 1000])
     assert len(inputs.samples) > 300
-    inputs.samples[:, [VX_HELD, STEER_HELD]] = 0.0  # nor held samples
+    inputs.samples[:, [at.VX_HELD, at.STEER_HELD]] = 0.0  # nor held samples
     estimate, expected = estimator.run(inputs), twin(estimator, inputs)
     np.testing.assert_allclose(estimate.beta, expected.beta, rtol=0.0, atol=1e-8)
     np.testing.assert_allclose(estimate.beta_std, expected.beta_std, rtol=0.0, atol=1e-8)
@@ -128,7 +113,7 @@ def test_an_outage_is_carried_through(estimator) -> None:
 def test_what_fixes_taught_holds_through_an_outage() -> None:
     """With an accelerometer that is off, the biases learnt before the outage tell in it."""
     inputs, beta = drive("slalom")
-    inputs.samples[:, AY] += 0.5
+    inputs.samples[:, at.AY] += 0.5
     learnt = rmse(FILTERS[0], without(inputs, FIXES, slice(1000, 1400)), beta, slice(1000, 1400))
     never = rmse(FILTERS[0], without(inputs, FIXES), beta, slice(1000, 1400))
     assert learnt < 0.5 * never
@@ -140,8 +125,8 @@ def test_sensor_errors_are_found() -> None:
     found = []
     for sign in (1.0, -1.0):
         samples = inputs.samples.copy()
-        samples[:, YAW_RATE] += sign * offsets[3]
-        samples[:, AY] += sign * offsets[5]
+        samples[:, at.YAW_RATE] += sign * offsets[3]
+        samples[:, at.AY] += sign * offsets[5]
         started = FILTERS[0].start(DT)
         for sample in samples:
             FILTERS[0].step(started, sample)
@@ -154,28 +139,32 @@ def test_sensor_errors_are_found() -> None:
 
 def test_a_wheel_speed_that_is_off_is_no_slip() -> None:
     inputs, beta = drive("slalom", seed=4)
-    inputs.samples[:, VX] *= 0.985
-    assert rmse(FILTERS[0], without(inputs, [HEADING]), beta) < 1.5
+    inputs.samples[:, at.VX] *= 0.985
+    assert rmse(FILTERS[0], without(inputs, [at.HEADING]), beta) < 1.5
     blind = GnssKinematicKF(GOLF, GnssKinematicNoise(scale=1e-6))
-    assert rmse(blind, without(inputs, [HEADING]), beta) > 3.0
+    assert rmse(blind, without(inputs, [at.HEADING]), beta) > 3.0
 
 
 def test_own_kinematic_model_is_followed_without_error() -> None:
     noise = GnssKinematicNoise(relaxation=0.0)
     n, rng = 600, np.random.default_rng(3)
-    samples = np.full((n, SAMPLE_WIDTH), np.nan)
+    samples = np.full((n, at.SAMPLE_WIDTH), np.nan)
     samples[:, 4:10] = 0.0
     t = DT * np.arange(n)
-    samples[:, YAW_RATE], samples[:, AX], samples[:, AY] = 0.4 * np.sin(t), np.cos(t), 3.0 * np.sin(1.3 * t)
+    samples[:, at.YAW_RATE], samples[:, at.AX], samples[:, at.AY] = (
+        0.4 * np.sin(t),
+        np.cos(t),
+        3.0 * np.sin(1.3 * t),
+    )
     velocity, heading, beta = np.array([20.0, 0.0]), 0.0, np.zeros(n)
     for k in range(n):
         if k:
-            yaw_rate = samples[k, YAW_RATE]
+            yaw_rate = samples[k, at.YAW_RATE]
             turned = np.reshape(rotation(yaw_rate, DT), (2, 2)) @ velocity
-            velocity = turned + np.reshape(input_gain(yaw_rate, DT), (2, 2)) @ samples[k, [AX, AY]]
+            velocity = turned + np.reshape(input_gain(yaw_rate, DT), (2, 2)) @ samples[k, [at.AX, at.AY]]
             heading += DT * yaw_rate
         beta[k] = np.arctan2(velocity[1], velocity[0])
-        samples[k, VX] = velocity[0]
+        samples[k, at.VX] = velocity[0]
         if rng.random() < 0.1:
             samples[k, FIXES] = np.hypot(*velocity), heading + beta[k], heading
     assert np.ptp(beta) > np.radians(5.0)
@@ -190,16 +179,16 @@ def test_angles_are_wrapped(angle, inside) -> None:
 
 def test_a_stop_forgets_the_motion_but_not_the_sensors() -> None:
     inputs, _ = drive("slalom")
-    inputs.samples[:, YAW_RATE] += 0.02
+    inputs.samples[:, at.YAW_RATE] += 0.02
     started = FILTERS[0].start(DT)
     for sample in inputs.samples[:1000]:
         FILTERS[0].step(started, sample)
     bias = started.state.mean[3]
     assert abs(bias) > 0.01
     stop = inputs.samples[1000].copy()
-    stop[VX] = 0.0
+    stop[at.VX] = 0.0
     beta, beta_std, _ = FILTERS[0].step(started, stop)
-    assert (beta, beta_std) == (slip_of_rolling_rear(stop[STEER], stop[5], 1.264, 1.367), LOW_SPEED_STD)
+    assert (beta, beta_std) == (slip_of_rolling_rear(stop[at.STEER], stop[5], 1.264, 1.367), LOW_SPEED_STD)
     FILTERS[0].step(started, inputs.samples[1001])
     assert started.state.mean[3] == bias
     assert started.state.cov[2, 2] == UNKNOWN_HEADING
@@ -216,17 +205,17 @@ def inside(total: float, degrees: int) -> bool:
 
 
 def turn() -> np.ndarray:
-    samples = np.full((STEPS, SAMPLE_WIDTH), np.nan)
+    samples = np.full((STEPS, at.SAMPLE_WIDTH), np.nan)
     samples[:, 4:10] = 0.0
     swing = 0.6 + 0.4 * np.sin(3.0 * DT * np.arange(STEPS))
-    samples[:, VX], samples[:, YAW_RATE], samples[:, AY] = 20.0, 0.3 * swing, 6.0 * swing
-    samples[:, AX], samples[:, STEER] = 0.0, 0.05 * swing
+    samples[:, at.VX], samples[:, at.YAW_RATE], samples[:, at.AY] = 20.0, 0.3 * swing, 6.0 * swing
+    samples[:, at.AX], samples[:, at.STEER] = 0.0, 0.05 * swing
     return samples
 
 
 def kinematic_case(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
     noise, samples, truth = GnssKinematicNoise(relaxation=0.0), turn(), np.zeros((STEPS, 7))
-    rolling = np.tan(slip_of_rolling_rear(samples[0, STEER], 0.0, 1.264, 1.367))
+    rolling = np.tan(slip_of_rolling_rear(samples[0, at.STEER], 0.0, 1.264, 1.367))
     sizes = np.array([noise.gyro_bias, noise.accel_bias, noise.accel_bias, noise.scale])
     truth[0, 0] = rng.normal(20.0, noise.speed)
     truth[0, 1] = 20.0 * rng.normal(rolling, LOW_SPEED_STD)
@@ -234,7 +223,7 @@ def kinematic_case(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
     truth[0, 3:] = rng.normal(0.0, sizes)
     keep = np.exp(-DT / noise.bias_time)
     for k in range(1, STEPS):
-        gyro, *accel = samples[k, [YAW_RATE, AX, AY]] - truth[k - 1, 3:6]
+        gyro, *accel = samples[k, [at.YAW_RATE, at.AX, at.AY]] - truth[k - 1, 3:6]
         velocity = np.reshape(rotation(gyro, DT), (2, 2)) @ truth[k - 1, :2]
         velocity += np.reshape(input_gain(gyro, DT), (2, 2)) @ accel
         truth[k, :2] = velocity + rng.normal(0.0, noise.accel * np.sqrt(DT), 2)
@@ -242,11 +231,11 @@ def kinematic_case(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
         truth[k, 3:] = keep * truth[k - 1, 3:] + rng.normal(0.0, sizes * np.sqrt(1.0 - keep**2))
         vx, vy, heading, *_, scale = truth[k]
         speed = np.hypot(vx, vy)
-        samples[k, VX] = (1.0 + scale) * vx + rng.normal(0.0, noise.speed)
+        samples[k, at.VX] = (1.0 + scale) * vx + rng.normal(0.0, noise.speed)
         if k % 10 == 0:
-            samples[k, GNSS_SPEED] = speed + rng.normal(0.0, noise.gnss_velocity)
-            samples[k, HEADING] = heading + rng.normal(0.0, noise.heading)
-            samples[k, GNSS_COURSE] = (
+            samples[k, at.GNSS_SPEED] = speed + rng.normal(0.0, noise.gnss_velocity)
+            samples[k, at.HEADING] = heading + rng.normal(0.0, noise.heading)
+            samples[k, at.GNSS_COURSE] = (
                 heading + np.arctan2(vy, vx) + rng.normal(0.0, noise.gnss_velocity) / speed
             )
     return samples, truth
@@ -255,26 +244,26 @@ def kinematic_case(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
 def dynamic_case(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
     noise, samples, truth = DYNAMIC_NOISE, turn(), np.zeros((STEPS, 3))
     car = GnssDynamicObserver(GOLF, noise).car
-    samples[:, STEER] *= 0.8
-    rolling = slip_of_rolling_rear(samples[0, STEER], 0.0, car.a, car.b)
+    samples[:, at.STEER] *= 0.8
+    rolling = slip_of_rolling_rear(samples[0, at.STEER], 0.0, car.a, car.b)
     truth[0] = rng.normal(
-        [samples[0, YAW_RATE], rolling, 0.0], [noise.yaw_rate, LOW_SPEED_STD, noise.disturbance]
+        [samples[0, at.YAW_RATE], rolling, 0.0], [noise.yaw_rate, LOW_SPEED_STD, noise.disturbance]
     )
     keep = np.exp(-DT / noise.disturbance_time)
     assert stable_substeps(20.0, DT, car) == 1
-    samples[:, AY] = 0.0  # only the friction margin would use it
+    samples[:, at.AY] = 0.0  # only the friction margin would use it
     for k in range(1, STEPS):
-        given = (20.0, samples[k, STEER], 0.0, 0.0, 0.0, 0.0, 0.0)
+        given = (20.0, samples[k, at.STEER], 0.0, 0.0, 0.0, 0.0, 0.0)
         rates, _, _ = single_track_rates(*truth[k - 1, :2], *given, car)
         motion = np.array([rates[0], rates[1] + truth[k - 1, 2]])
         shaken = rng.normal(0.0, np.sqrt(DT) * np.array([noise.yaw_acceleration, noise.slip_rate]))
         truth[k, :2] = truth[k - 1, :2] + DT * motion + shaken
         truth[k, 2] = keep * truth[k - 1, 2] + rng.normal(0.0, noise.disturbance * np.sqrt(1.0 - keep**2))
         _, (_, ay), _ = single_track_rates(*truth[k, :2], *given, car)
-        samples[k, [YAW_RATE, AY]] = rng.normal([truth[k, 0], ay], [noise.yaw_rate, noise.ay])
+        samples[k, [at.YAW_RATE, at.AY]] = rng.normal([truth[k, 0], ay], [noise.yaw_rate, noise.ay])
         if k % 10 == 0:
             error = np.hypot(noise.gnss_velocity * np.cos(truth[k, 1]) / 20.0, noise.heading)
-            samples[k, [HEADING, GNSS_COURSE]] = 1.0, 1.0 + rng.normal(truth[k, 1], error)
+            samples[k, [at.HEADING, at.GNSS_COURSE]] = 1.0, 1.0 + rng.normal(truth[k, 1], error)
     return samples, truth
 
 

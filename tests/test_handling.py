@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from crosscomb.filters.base import AY, SAMPLE_WIDTH, STEER, VX, YAW_RATE
+from crosscomb.filters import columns as at
 from crosscomb.models.vehicle import load_vehicle
 from crosscomb.report.page import estimate_figure
 from crosscomb.run.estimate import estimate_log
@@ -42,10 +42,14 @@ def artefact() -> Artefact:
 def drive(front, rear, yaw_rate=0.4, vx=20.0, beta_std=0.0, n=100, valid=True, ay=None) -> Handling:
     """Handling of a drive with these slip angles (floats or ``(n,)``) [rad], in a bend to the left."""
     front, rear = np.broadcast_to(front, n), np.broadcast_to(rear, n)
-    samples = np.zeros((n, SAMPLE_WIDTH))
-    samples[:, VX], samples[:, YAW_RATE], samples[:, AY] = vx, yaw_rate, vx * yaw_rate if ay is None else ay
-    tangent = np.tan(-rear) + B * samples[:, YAW_RATE] / vx  # that of beta
-    samples[:, STEER] = front + np.arctan(tangent + A * samples[:, YAW_RATE] / vx)
+    samples = np.zeros((n, at.SAMPLE_WIDTH))
+    samples[:, at.VX], samples[:, at.YAW_RATE], samples[:, at.AY] = (
+        vx,
+        yaw_rate,
+        vx * yaw_rate if ay is None else ay,
+    )
+    tangent = np.tan(-rear) + B * samples[:, at.YAW_RATE] / vx  # that of beta
+    samples[:, at.STEER] = front + np.arctan(tangent + A * samples[:, at.YAW_RATE] / vx)
     motion = motion_of(start_motion(), samples, CAR, DT)
     doubt, good = np.broadcast_to(float(beta_std), n).copy(), np.broadcast_to(valid, n).copy()
     return handling_of(start_handling(), samples, np.arctan(tangent), doubt, motion, good, CAR, DT)

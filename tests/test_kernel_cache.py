@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from crosscomb.filters.base import SAMPLE_WIDTH, VX
+from crosscomb.filters import columns as at
 from crosscomb.filters.catalogue import CATALOGUE, make_filter
 from crosscomb.models.vehicle import load_vehicle
 
@@ -16,7 +16,8 @@ PROGRAM = """
 import json, sys
 import numpy as np
 from numba.core.dispatcher import Dispatcher
-from crosscomb.filters.base import SAMPLE_WIDTH, VX, Inputs
+from crosscomb.filters import columns as at
+from crosscomb.filters.base import Inputs
 from crosscomb.filters.catalogue import CATALOGUE, make_filter
 from crosscomb.models.vehicle import load_vehicle
 
@@ -67,8 +68,8 @@ def test_a_second_process_compiles_nothing() -> None:
 def test_a_run_lets_go_of_what_it_was_handed(name: str) -> None:
     """Kernels that do not count who holds an array must not be called with what they would keep for ever."""
     estimator = make_filter(name, load_vehicle("generic_compact"))
-    samples = np.zeros((3, SAMPLE_WIDTH))
-    samples[:, VX] = 20.0
+    samples = np.zeros((3, at.SAMPLE_WIDTH))
+    samples[:, at.VX] = 20.0
     started = estimator.start(0.01)
     parts = [samples, started.out, *flat(started.state)]
     before = [sys.getrefcount(part) for part in parts]

@@ -3,18 +3,8 @@
 import numpy as np
 import pytest
 
-from crosscomb.filters.base import (
-    AX,
-    AY,
-    LOW_SPEED_STD,
-    MAX_BETA,
-    SAMPLE_WIDTH,
-    STEER,
-    STEER_HELD,
-    VX,
-    YAW_RATE,
-    Inputs,
-)
+from crosscomb.filters import columns as at
+from crosscomb.filters.base import LOW_SPEED_STD, MAX_BETA, Inputs
 from crosscomb.filters.kinematic.kf import (
     BIAS_AX,
     BIAS_AY,
@@ -35,10 +25,10 @@ NOISE = KF.noise
 def drive(vx: np.ndarray, beta: np.ndarray, yaw_rate: np.ndarray, steer: np.ndarray) -> Inputs:
     """Samples of a motion with perfect sensors: the accelerations follow from the velocity."""
     vy = vx * np.tan(beta)
-    samples = np.zeros((len(vx), SAMPLE_WIDTH))
-    samples[:, VX], samples[:, YAW_RATE], samples[:, STEER] = vx, yaw_rate, steer
-    samples[:, AX] = np.gradient(vx, DT) - yaw_rate * vy
-    samples[:, AY] = np.gradient(vy, DT) + yaw_rate * vx
+    samples = np.zeros((len(vx), at.SAMPLE_WIDTH))
+    samples[:, at.VX], samples[:, at.YAW_RATE], samples[:, at.STEER] = vx, yaw_rate, steer
+    samples[:, at.AX] = np.gradient(vx, DT) - yaw_rate * vy
+    samples[:, at.AY] = np.gradient(vy, DT) + yaw_rate * vx
     return Inputs(DT, samples)
 
 
@@ -71,7 +61,7 @@ def degrees_off(inputs: Inputs, beta: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize("offset", [-0.5, 0.5])
 def test_offsets_are_learnt_in_quiet_driving(offset: float) -> None:
     inputs, beta = winding_road(60.0)
-    inputs.samples[:, [AX, AY]] += offset
+    inputs.samples[:, [at.AX, at.AY]] += offset
     np.testing.assert_allclose(states_of(inputs)[-1, [BIAS_AX, BIAS_AY]], offset, atol=0.1)
     assert degrees_off(inputs, beta)[3000:].max() < 1.0
     unaware = KinematicKF(GOLF, NOISE._replace(accel_bias=0.0)).run(inputs)
@@ -81,7 +71,7 @@ def test_offsets_are_learnt_in_quiet_driving(offset: float) -> None:
 def test_a_banked_road_does_not_pull_it_off() -> None:
     inputs, beta = winding_road(60.0)
     leaning = np.clip((DT * np.arange(6000) - 20.0) / 3.0, 0.0, 1.0)
-    inputs.samples[:, AY] += 0.1 * GRAVITY * leaning
+    inputs.samples[:, at.AY] += 0.1 * GRAVITY * leaning
     assert degrees_off(inputs, beta).max() < 3.0
     assert degrees_off(inputs, beta)[4000:].max() < 1.0
 
@@ -93,15 +83,15 @@ def test_a_long_turn_after_a_straight_is_followed_with_an_offset() -> None:
     vx, ay = np.full(len(t), 20.0), 20.0 * yaw_rate
     beta = np.arctan(GOLF.cg_to_rear_axle * yaw_rate / vx - 0.004 * ay)
     inputs = drive(vx, beta, yaw_rate, yaw_rate * GOLF.wheelbase / vx + 0.002 * ay)
-    inputs.samples[:, AY] += 0.3
-    inputs.samples[:, AX] -= 0.2
+    inputs.samples[:, at.AY] += 0.3
+    inputs.samples[:, at.AX] -= 0.2
     assert degrees_off(inputs, beta).max() < 2.0
 
 
 def test_what_it_knows_of_its_sensors_outlasts_a_stop() -> None:
     inputs, _ = winding_road(60.0)
-    inputs.samples[:, [AX, AY]] += 0.3
-    inputs.samples[4000:4500, VX] = 0.0
+    inputs.samples[:, [at.AX, at.AY]] += 0.3
+    inputs.samples[4000:4500, at.VX] = 0.0
     states = states_of(inputs)
     before, after = states[3999, BIAS_AX:], states[4501, BIAS_AX:]
     np.testing.assert_allclose(after, before * np.exp(-5.0 / NOISE.bias_time), rtol=0.05)
@@ -115,7 +105,7 @@ def test_what_it_knows_of_its_sensors_outlasts_a_stop() -> None:
 
 def test_biases_know_no_more_than_their_size_in_the_end() -> None:
     started = KF.start(DT)
-    standing = np.zeros(SAMPLE_WIDTH)
+    standing = np.zeros(at.SAMPLE_WIDTH)
     for sample in winding_road(30.0)[0].samples:
         KF.step(started, sample)
     for _ in range(50_000):
@@ -138,27 +128,27 @@ def drift_transitions() -> tuple[Inputs, np.ndarray]:
 
 def test_a_slide_is_held_while_the_yaw_rate_crosses_zero() -> None:
     inputs, beta = drift_transitions()
-    inputs.samples[:, [AX, AY]] += 0.2
+    inputs.samples[:, [at.AX, at.AY]] += 0.2
     assert np.degrees(np.abs(beta)).max() > 24.0
     assert degrees_off(inputs, beta)[2000:].max() < 3.0
 
 
 def test_a_car_that_slides_on_straight_is_not_taken_to_roll() -> None:
     """On a grippy road ay says so, on ice the yaw rate that was not steered."""
-    sample = np.zeros(SAMPLE_WIDTH)
-    sample[VX] = 15.0
+    sample = np.zeros(at.SAMPLE_WIDTH)
+    sample[at.VX] = 15.0
     _, _, rolls = rolling_measurement(sample, 15.0, 0.0, KF.car, NOISE, DT)
     assert rolls == pytest.approx(NOISE.rolling**2 / DT)
-    sample[AY] = 8.0
+    sample[at.AY] = 8.0
     assert rolling_measurement(sample, 15.0, 0.0, KF.car, NOISE, DT)[2] == np.inf
     assert rolling_measurement(sample, 15.0, 8.0, KF.car, NOISE, DT)[2] == pytest.approx(rolls)
-    sample[AY], sample[STEER] = 0.5, 0.15
+    sample[at.AY], sample[at.STEER] = 0.5, 0.15
     assert rolling_measurement(sample, 15.0, 0.0, KF.car, NOISE, DT)[2] == np.inf
 
 
 def test_a_rolling_car_moves_along_its_rear_wheels() -> None:
-    sample = np.zeros(SAMPLE_WIDTH)
-    sample[[VX, YAW_RATE, STEER]] = 5.0, 0.2, np.arctan(0.2 * GOLF.wheelbase / 5.0)
+    sample = np.zeros(at.SAMPLE_WIDTH)
+    sample[[at.VX, at.YAW_RATE, at.STEER]] = 5.0, 0.2, np.arctan(0.2 * GOLF.wheelbase / 5.0)
     sample[5] = 0.0
     h, rest, variance = rolling_measurement(sample, 5.0, 0.0, KF.car, NOISE, DT)
     assert (h, rest) == (0.0, pytest.approx(0.2 * GOLF.cg_to_rear_axle))
@@ -171,12 +161,12 @@ def test_a_rolling_car_moves_along_its_rear_wheels() -> None:
 
 
 def test_without_a_steering_angle_only_a_straight_is_one() -> None:
-    sample = np.zeros(SAMPLE_WIDTH)
-    sample[[VX, STEER_HELD, STEER]] = 15.0, 1.0, 0.3
+    sample = np.zeros(at.SAMPLE_WIDTH)
+    sample[[at.VX, at.STEER_HELD, at.STEER]] = 15.0, 1.0, 0.3
     assert rolling_measurement(sample, 15.0, 0.0, KF.car, NOISE, DT)[2] == pytest.approx(
         NOISE.rolling**2 / DT
     )
-    sample[YAW_RATE] = 0.5
+    sample[at.YAW_RATE] = 0.5
     assert rolling_measurement(sample, 15.0, 0.0, KF.car, NOISE, DT)[2] == np.inf
 
 
@@ -185,7 +175,7 @@ def test_without_a_steering_angle_only_a_straight_is_one() -> None:
 
 def test_an_impossible_sample_counts_as_missing() -> None:
     inputs, _ = winding_road(10.0)
-    for column, value in ((AX, 1e6), (AY, -1e6), (YAW_RATE, 1e3)):
+    for column, value in ((at.AX, 1e6), (at.AY, -1e6), (at.YAW_RATE, 1e3)):
         wild, missing = inputs.samples.copy(), inputs.samples.copy()
         wild[500:503, column], missing[500:503, column] = value, np.nan
         np.testing.assert_array_equal(KF.run(Inputs(DT, wild)).beta, KF.run(Inputs(DT, missing)).beta)
@@ -196,13 +186,13 @@ def test_no_nonsense_makes_it_diverge(seed: int) -> None:
     """Twenty minutes of signals that contradict each other, then it is right again within a minute."""
     rng = np.random.default_rng(seed)
     n = 120_000
-    samples = np.zeros((n, SAMPLE_WIDTH))
+    samples = np.zeros((n, at.SAMPLE_WIDTH))
     steps = np.repeat(rng.normal(size=(n // 100, 5)), 100, axis=0)
-    samples[:, VX] = 15.0 + 10.0 * steps[:, 0]
-    samples[:, [AX, AY]] = 8.0 * steps[:, 1:3]
-    samples[:, YAW_RATE], samples[:, STEER] = steps[:, 3], 0.1 * steps[:, 4]
-    samples[rng.random(n) < 0.1, AY] = np.nan
-    samples[rng.random(n) < 0.1, YAW_RATE] = np.nan
+    samples[:, at.VX] = 15.0 + 10.0 * steps[:, 0]
+    samples[:, [at.AX, at.AY]] = 8.0 * steps[:, 1:3]
+    samples[:, at.YAW_RATE], samples[:, at.STEER] = steps[:, 3], 0.1 * steps[:, 4]
+    samples[rng.random(n) < 0.1, at.AY] = np.nan
+    samples[rng.random(n) < 0.1, at.YAW_RATE] = np.nan
     quiet, beta = winding_road(60.0)
     estimate = KF.run(Inputs(DT, np.concatenate([samples, quiet.samples])))
     assert np.isfinite(estimate.beta_std).all()
@@ -222,7 +212,7 @@ def test_the_covariance_stays_symmetric_and_positive_over_an_hour() -> None:
 
 def test_a_log_without_yaw_rate_stays_doubtful_and_bounded() -> None:
     inputs, _ = winding_road(300.0)
-    inputs.samples[:, YAW_RATE] = np.nan
+    inputs.samples[:, at.YAW_RATE] = np.nan
     estimate = KF.run(inputs)
     assert np.degrees(np.abs(estimate.beta)).max() < 10.0
     assert 5.0 < np.degrees(estimate.beta_std[-1]) < 30.0
@@ -230,10 +220,10 @@ def test_a_log_without_yaw_rate_stays_doubtful_and_bounded() -> None:
 
 def test_the_published_filter_is_a_setting() -> None:
     """Without biases and rolling it integrates: a steady error of ay grows to a drift on a straight."""
-    samples = np.zeros((1000, SAMPLE_WIDTH))
-    samples[:, VX], samples[:, AY] = 20.0, 0.1
+    samples = np.zeros((1000, at.SAMPLE_WIDTH))
+    samples[:, at.VX], samples[:, at.AY] = 20.0, 0.1
     plain = KinematicKF(GOLF, KinematicNoise(accel_bias=0.0, disagreement=1e-9, ay_scale=0.0))
-    samples[:, YAW_RATE] = 1e-6  # a yaw rate of zero agrees with the steering to the last bit
+    samples[:, at.YAW_RATE] = 1e-6  # a yaw rate of zero agrees with the steering to the last bit
     vy = 20.0 * np.tan(plain.run(Inputs(DT, samples)).beta[-1])
     assert vy == pytest.approx(0.1 * 999 * DT, rel=1e-2)
-    assert samples[:, VX].min() > MIN_SPEED
+    assert samples[:, at.VX].min() > MIN_SPEED

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from crosscomb.errors import UsageError
-from crosscomb.filters.base import AY, SAMPLE_WIDTH, STEER, VX, YAW_RATE, Inputs, make_inputs
+from crosscomb.filters import columns as at
+from crosscomb.filters.base import Inputs, make_inputs
 from crosscomb.filters.catalogue import make_filter, settings_of
 from crosscomb.filters.learned import (
     COLUMNS,
@@ -40,7 +41,7 @@ def recordings() -> list[Recording]:
 
 
 def samples_of(rows: np.ndarray) -> np.ndarray:
-    samples = np.zeros((len(rows), SAMPLE_WIDTH))
+    samples = np.zeros((len(rows), at.SAMPLE_WIDTH))
     samples[:, COLUMNS] = rows[:, :4]
     return samples
 
@@ -106,7 +107,7 @@ def test_shipped_network_beats_beta_zero_on_a_car_it_has_not_seen(name: str) -> 
     for recording in simulated_recordings(["golf_liu"], 3, seed=77, duration=20.0):
         inputs = make_inputs(recording.signals, vehicle, DT)
         truth = recording.signals.beta_ref
-        good = np.isfinite(truth) & (inputs.samples[:, VX] > 3.0) & (np.abs(truth) < 0.8)
+        good = np.isfinite(truth) & (inputs.samples[:, at.VX] > 3.0) & (np.abs(truth) < 0.8)
         estimate = make_filter(name, vehicle).run(inputs)
         errors.append((estimate.beta - truth)[good])
         zero.append(truth[good])
@@ -118,7 +119,7 @@ def test_shipped_network_beats_beta_zero_on_a_car_it_has_not_seen(name: str) -> 
 def test_missing_inputs_are_held_and_make_it_less_sure() -> None:
     rows = np.tile([2.0, 0.1, 0.01, 20.0], (300, 1))
     whole = NeuralNetwork(GOLF).run(Inputs(DT, samples_of(rows)))
-    for column in (AY, YAW_RATE):
+    for column in (at.AY, at.YAW_RATE):
         samples = samples_of(rows)
         samples[100:200, column] = np.nan
         broken = NeuralNetwork(GOLF).run(Inputs(DT, samples))
@@ -189,4 +190,4 @@ def test_shipped_file_is_small() -> None:
     import crosscomb
 
     assert (Path(crosscomb.__file__).parent / "data" / "network.json").stat().st_size < 10_000
-    assert STEER in COLUMNS
+    assert at.STEER in COLUMNS

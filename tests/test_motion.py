@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from crosscomb.filters.base import SAMPLE_WIDTH, STEER, STEER_REAR, VX, YAW_RATE
+from crosscomb.filters import columns as at
 from crosscomb.models.vehicle import load_vehicle
 from crosscomb.run.estimate import estimate_log
 from crosscomb.run.motion import MOST_YAW_DOUBT, motion_of, point_velocity, start_motion
@@ -32,8 +32,8 @@ def log() -> Signals:
 
 
 def samples(n: int = 50, vx: float = 20.0, yaw_rate: float = 0.3, steer: float = 0.0) -> np.ndarray:
-    made = np.zeros((n, SAMPLE_WIDTH))
-    made[:, VX], made[:, YAW_RATE], made[:, STEER] = vx, yaw_rate, steer
+    made = np.zeros((n, at.SAMPLE_WIDTH))
+    made[:, at.VX], made[:, at.YAW_RATE], made[:, at.STEER] = vx, yaw_rate, steer
     return made
 
 
@@ -63,7 +63,7 @@ def test_the_rear_axle_of_a_slow_car_follows_its_wheels_and_the_front_axle_the_s
     """Rolling without slip, also at standstill and in reverse."""
     for vx in (2.0, 0.0, -2.0):
         given = samples(vx=vx, steer=0.2)
-        given[:, STEER_REAR] = -0.05
+        given[:, at.STEER_REAR] = -0.05
         motion = motion_of(start_motion(), given, CAR, DT)
         rolling = math.atan(
             (CAR.cg_to_rear_axle * math.tan(0.2) + CAR.cg_to_front_axle * math.tan(-0.05)) / CAR.wheelbase
@@ -93,14 +93,14 @@ def test_doubt_is_that_of_many_draws_linearised(beta, curvature, x, y):
 
 def test_a_missing_yaw_rate_is_held_and_doubted_ever_more():
     given = samples(200)
-    given[20:, YAW_RATE] = np.nan
+    given[20:, at.YAW_RATE] = np.nan
     motion = motion_of(start_motion(), given, CAR, DT)
     np.testing.assert_allclose(motion.curvature, 0.3 / 20.0)
     assert np.all(motion.curvature_std[:20] == 0.0)
     assert np.all(np.diff(motion.curvature_std[19:100]) > 0.0)
     assert motion.curvature_std[-1] == pytest.approx(MOST_YAW_DOUBT / 20.0)
     never = motion_of(
-        start_motion(), np.where(np.arange(SAMPLE_WIDTH) == YAW_RATE, np.nan, samples()), CAR, DT
+        start_motion(), np.where(np.arange(at.SAMPLE_WIDTH) == at.YAW_RATE, np.nan, samples()), CAR, DT
     )
     assert (never.curvature[0], never.curvature_std[0]) == (0.0, MOST_YAW_DOUBT / 20.0)
 

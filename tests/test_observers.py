@@ -5,20 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from crosscomb.filters.base import (
-    AX,
-    AY,
-    FXF,
-    FXR,
-    SAMPLE_WIDTH,
-    STEER,
-    STEER_HELD,
-    STEER_REAR,
-    VX,
-    YAW_RATE,
-    Inputs,
-    KernelFilter,
-)
+from crosscomb.filters import columns as at
+from crosscomb.filters.base import Inputs, KernelFilter
 from crosscomb.filters.single_track.observers import (
     ExtendedLuenberger,
     Luenberger,
@@ -59,29 +47,29 @@ def textbook(vx: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 def slalom(name: str, steps: int = 1200) -> tuple[Inputs, np.ndarray]:
     """Noiseless slalom of the observer's own model, from the state the observer starts in, and its beta."""
     t = DT * np.arange(steps)
-    samples = np.zeros((steps, SAMPLE_WIDTH))
-    samples[:, VX], samples[:, AX] = 18.0 + 6.0 * np.sin(0.3 * t), 1.8 * np.cos(0.3 * t)
-    samples[:, FXF] = samples[:, FXR] = 0.5 * CAR.mass * samples[:, AX]
-    samples[:, STEER] = 0.02 + 0.04 * np.sin(2.0 * t)
-    samples[:, STEER_REAR] = 0.1 * samples[:, STEER]
+    samples = np.zeros((steps, at.SAMPLE_WIDTH))
+    samples[:, at.VX], samples[:, at.AX] = 18.0 + 6.0 * np.sin(0.3 * t), 1.8 * np.cos(0.3 * t)
+    samples[:, at.FXF] = samples[:, at.FXR] = 0.5 * CAR.mass * samples[:, at.AX]
+    samples[:, at.STEER] = 0.02 + 0.04 * np.sin(2.0 * t)
+    samples[:, at.STEER_REAR] = 0.1 * samples[:, at.STEER]
     samples[:, 10:] = np.nan
-    state = np.array([0.1, slip_of_rolling_rear(*samples[0, [STEER, STEER_REAR]], CAR.a, CAR.b)])
+    state = np.array([0.1, slip_of_rolling_rear(*samples[0, [at.STEER, at.STEER_REAR]], CAR.a, CAR.b)])
     beta = np.empty(steps)
 
     def model(sample: np.ndarray) -> tuple[np.ndarray, float]:
         if name == "luenberger":
-            rates, ay, _ = linear_single_track_rates(*state, *sample[[VX, STEER, STEER_REAR]], CAR)
+            rates, ay, _ = linear_single_track_rates(*state, *sample[[at.VX, at.STEER, at.STEER_REAR]], CAR)
         else:
-            given = (*sample[[VX, STEER, STEER_REAR, FXF, FXR, AX]], 0.0)
+            given = (*sample[[at.VX, at.STEER, at.STEER_REAR, at.FXF, at.FXR, at.AX]], 0.0)
             rates, (_, ay), _ = single_track_rates(*state, *given, CAR)
         return np.array(rates), ay
 
     for k, sample in enumerate(samples):
-        substeps = stable_substeps(sample[VX], DT, CAR) if k else 0
+        substeps = stable_substeps(sample[at.VX], DT, CAR) if k else 0
         for _ in range(substeps):
             state = state + DT / substeps * model(sample)[0]
-        sample[YAW_RATE], beta[k] = state
-        sample[AY] = model(sample)[1]
+        sample[at.YAW_RATE], beta[k] = state
+        sample[at.AY] = model(sample)[1]
     return Inputs(DT, samples), beta
 
 
@@ -111,19 +99,19 @@ def test_luenberger_is_the_textbook_observer(slip_pole: float) -> None:
     """A drive at constant speed in small steps, by matrices and pole placement."""
     inputs, _ = slalom("luenberger", 400)
     samples, rng, dt = inputs.samples, np.random.default_rng(1), 1e-4
-    samples[:, VX], samples[:, STEER_REAR] = 20.0, 0.0
-    samples[:, YAW_RATE] += rng.normal(0.0, 0.01, 400)
-    samples[:, AY] += rng.normal(0.0, 0.3, 400)
+    samples[:, at.VX], samples[:, at.STEER_REAR] = 20.0, 0.0
+    samples[:, at.YAW_RATE] += rng.normal(0.0, 0.01, 400)
+    samples[:, at.AY] += rng.normal(0.0, 0.3, 400)
     samples = np.repeat(samples, 100, axis=0)
     a, b, c, d = textbook(20.0)
     place = np.diag([3.0 * a[0, 0], slip_pole * a[1, 1]])
     place[0, 1] = a[0, 1]
     observer = (a - place) @ np.linalg.inv(c)
-    state = np.array([samples[0, YAW_RATE], slip_of_rolling_rear(samples[0, STEER], 0.0, CAR.a, CAR.b)])
+    state = np.array([samples[0, at.YAW_RATE], slip_of_rolling_rear(samples[0, at.STEER], 0.0, CAR.a, CAR.b)])
     expected = [state[1]]
     for sample in samples[1:]:
-        error = sample[[YAW_RATE, AY]] - c @ state - d * sample[STEER]
-        state = state + dt * (a @ state + b * sample[STEER] + observer @ error)
+        error = sample[[at.YAW_RATE, at.AY]] - c @ state - d * sample[at.STEER]
+        state = state + dt * (a @ state + b * sample[at.STEER] + observer @ error)
         expected.append(state[1])
     estimate = Luenberger(GOLF, ObserverGains(slip_pole=slip_pole)).run(Inputs(dt, samples))
     assert np.ptp(expected) > np.radians(1.0)
@@ -162,8 +150,8 @@ def test_every_rate_is_stable(name: str, dt: float) -> None:
     truth = np.repeat(beta, 2) if dt < DT else beta[::step]
     for vx in (1.0, 0.2):  # the same drive at a fifth of the speed, down to just above the gate
         slower = samples.copy()
-        slower[:, [VX, YAW_RATE]] *= vx
-        slower[:, AY] *= vx * vx
+        slower[:, [at.VX, at.YAW_RATE]] *= vx
+        slower[:, at.AY] *= vx * vx
         estimate = OBSERVERS[name].run(Inputs(dt, slower))
         assert np.abs(estimate.beta).max() < np.radians(12.0)
         if vx == 1.0:
@@ -172,19 +160,19 @@ def test_every_rate_is_stable(name: str, dt: float) -> None:
 
 def test_sliding_mode_inside_its_layer_is_the_extended_observer() -> None:
     inputs, _ = slalom("sliding")
-    inputs.samples[:, AY] += 0.3
+    inputs.samples[:, at.AY] += 0.3
     wide = SlidingMode(GOLF, SlidingGains(yaw_layer=1e9, ay_layer=1e9)).run(inputs)
     np.testing.assert_array_equal(wide.beta, OBSERVERS["extended"].run(inputs).beta)
 
 
-@pytest.mark.parametrize("column", [AY, YAW_RATE])
+@pytest.mark.parametrize("column", [at.AY, at.YAW_RATE])
 def test_sliding_mode_pulls_no_harder_than_its_layer(column: int) -> None:
     inputs, _ = slalom("sliding")
     wild, wilder = (inputs.samples.copy() for _ in range(2))
     wild[700, column] += 50.0
     wilder[700, column] += 100.0
     one, two = (OBSERVERS["sliding"].run(Inputs(DT, s)).beta for s in (wild, wilder))
-    if column == YAW_RATE:
+    if column == at.YAW_RATE:
         np.testing.assert_array_equal(one, two)
     calm = OBSERVERS["sliding"].run(inputs).beta
     linear = OBSERVERS["extended"].run(Inputs(DT, wild)).beta
@@ -201,7 +189,7 @@ def test_stated_error_grows_with_the_innovation_and_where_inputs_are_missing(nam
     share = np.abs(calm.beta[600:]) * estimator.noise.share
     np.testing.assert_allclose(settled, np.hypot(estimator.noise.floor, share), rtol=0.15)
     assert np.isnan(calm.nis).all()
-    for change in ({AY: 2.0}, {AY: np.nan}, {STEER_HELD: 1.0}):
+    for change in ({at.AY: 2.0}, {at.AY: np.nan}, {at.STEER_HELD: 1.0}):
         samples = inputs.samples.copy()
         for column, value in change.items():
             samples[600:, column] += value
@@ -213,7 +201,7 @@ def test_stated_error_grows_with_the_innovation_and_where_inputs_are_missing(nam
 @each_observer
 def test_without_ay_or_yaw_rate_the_model_carries_on(name: str) -> None:
     inputs, beta = slalom(name)
-    for column in (AY, YAW_RATE):
+    for column in (at.AY, at.YAW_RATE):
         samples = inputs.samples.copy()
         samples[300:, column] = np.nan
         estimate = OBSERVERS[name].run(replace(inputs, samples=samples))

@@ -9,25 +9,9 @@ import pytest
 from scipy.stats import kstest
 
 from crosscomb.errors import UsageError
+from crosscomb.filters import columns as at
 from crosscomb.filters.algebra.resampling import RESAMPLING, draw_sources, sorted_uniforms
-from crosscomb.filters.base import (
-    AX,
-    AY,
-    FXF,
-    FXR,
-    LOW_SPEED_STD,
-    MAX_BETA,
-    SAMPLE_WIDTH,
-    STEER,
-    STEER_HELD,
-    STEER_REAR,
-    VX,
-    VX_HELD,
-    YAW_RATE,
-    Estimate,
-    Inputs,
-    KernelFilter,
-)
+from crosscomb.filters.base import LOW_SPEED_STD, MAX_BETA, Estimate, Inputs, KernelFilter
 from crosscomb.filters.catalogue import make_filter, settings_of
 from crosscomb.filters.kinematic.kf import KinematicKF, KinematicNoise
 from crosscomb.filters.kinematic.pf import KinematicPF
@@ -143,28 +127,28 @@ def slalom(steps: int = 400) -> Inputs:
     """Noisy samples of a slalom at about 18 m/s that the single track nearly drives."""
     rng = np.random.default_rng(4)
     t = DT * np.arange(steps)
-    samples = np.zeros((steps, SAMPLE_WIDTH))
-    samples[:, VX] = 18.0 + 4.0 * np.sin(0.3 * t)
-    samples[:, STEER] = 0.03 * np.sin(2.0 * t)
-    gain = samples[:, VX] / (GOLF.wheelbase + 0.003 * samples[:, VX] ** 2)
-    samples[:, YAW_RATE] = gain * samples[:, STEER]
-    samples[:, AX] = 1.2 * np.cos(0.3 * t)
-    samples[:, AY] = samples[:, VX] * samples[:, YAW_RATE]
-    samples[:, FXF] = samples[:, FXR] = 0.5 * GOLF.mass * samples[:, AX]
-    samples[:, [VX, AX, AY, YAW_RATE]] += rng.normal(0.0, [0.05, 0.2, 0.3, 0.01], (steps, 4))
+    samples = np.zeros((steps, at.SAMPLE_WIDTH))
+    samples[:, at.VX] = 18.0 + 4.0 * np.sin(0.3 * t)
+    samples[:, at.STEER] = 0.03 * np.sin(2.0 * t)
+    gain = samples[:, at.VX] / (GOLF.wheelbase + 0.003 * samples[:, at.VX] ** 2)
+    samples[:, at.YAW_RATE] = gain * samples[:, at.STEER]
+    samples[:, at.AX] = 1.2 * np.cos(0.3 * t)
+    samples[:, at.AY] = samples[:, at.VX] * samples[:, at.YAW_RATE]
+    samples[:, at.FXF] = samples[:, at.FXR] = 0.5 * GOLF.mass * samples[:, at.AX]
+    samples[:, [at.VX, at.AX, at.AY, at.YAW_RATE]] += rng.normal(0.0, [0.05, 0.2, 0.3, 0.01], (steps, 4))
     return Inputs(DT, samples)
 
 
 def rough() -> Inputs:
     """The slalom with gaps, a stop, reverse driving, crawling about the gate and wild samples."""
     samples = slalom(1000).samples
-    samples[50:90, AY] = samples[70:120, YAW_RATE] = samples[100:130, AX] = np.nan
-    samples[200:260, VX], samples[200:260, VX_HELD] = samples[199, VX], 1.0
-    samples[240:330, STEER], samples[240:330, STEER_HELD] = 0.05, 1.0
-    samples[400:440, VX], samples[440:460, VX] = 0.0, -2.0
-    samples[600:660, VX] = MIN_SPEED + 0.2 * np.sin(np.arange(60))
-    samples[700:703, AY], samples[720:722, YAW_RATE], samples[740, AX] = 400.0, -20.0, 1e6
-    samples[760:770, STEER] = 0.6
+    samples[50:90, at.AY] = samples[70:120, at.YAW_RATE] = samples[100:130, at.AX] = np.nan
+    samples[200:260, at.VX], samples[200:260, at.VX_HELD] = samples[199, at.VX], 1.0
+    samples[240:330, at.STEER], samples[240:330, at.STEER_HELD] = 0.05, 1.0
+    samples[400:440, at.VX], samples[440:460, at.VX] = 0.0, -2.0
+    samples[600:660, at.VX] = MIN_SPEED + 0.2 * np.sin(np.arange(60))
+    samples[700:703, at.AY], samples[720:722, at.YAW_RATE], samples[740, at.AX] = 400.0, -20.0, 1e6
+    samples[760:770, at.STEER] = 0.6
     return Inputs(DT, samples)
 
 
@@ -206,10 +190,11 @@ def test_the_answer_is_finite_and_in_range_whatever_comes(name: str) -> None:
     assert np.isfinite(estimate.beta_std).all()
     assert np.all(np.abs(estimate.beta) < np.radians(90.0))
     assert np.all(estimate.beta_std > 0.0)
-    slow = ~(inputs.samples[:, VX] > MIN_SPEED)
+    slow = ~(inputs.samples[:, at.VX] > MIN_SPEED)
     car = FILTERS[name].car
     rolling = [
-        slip_of_rolling_rear(*sample[[STEER, STEER_REAR]], car.a, car.b) for sample in inputs.samples[slow]
+        slip_of_rolling_rear(*sample[[at.STEER, at.STEER_REAR]], car.a, car.b)
+        for sample in inputs.samples[slow]
     ]
     np.testing.assert_array_equal(estimate.beta[slow], rolling)
     np.testing.assert_array_equal(estimate.beta_std[slow], LOW_SPEED_STD)
@@ -218,8 +203,8 @@ def test_the_answer_is_finite_and_in_range_whatever_comes(name: str) -> None:
 @each_filter
 def test_samples_without_any_measurement_are_answered(name: str) -> None:
     samples = slalom(300).samples
-    samples[100:, [AX, AY, YAW_RATE]] = np.nan
-    samples[100:, VX], samples[100:, VX_HELD] = samples[99, VX], 1.0
+    samples[100:, [at.AX, at.AY, at.YAW_RATE]] = np.nan
+    samples[100:, at.VX], samples[100:, at.VX_HELD] = samples[99, at.VX], 1.0
     estimate = FILTERS[name].run(Inputs(DT, samples))
     assert np.isfinite(estimate.beta).all()
     assert np.all(np.abs(estimate.beta) <= MAX_BETA)
@@ -278,16 +263,18 @@ def plain_dynamic_pf(estimator: DynamicPF, inputs: Inputs) -> Estimate:
     np.random.seed(estimator.seed)  # noqa: NPY002
     rng = np.random.default_rng(estimator.seed)
     out = np.full((len(inputs.samples), 2), np.nan)
-    rolling = slip_of_rolling_rear(inputs.samples[0, STEER], 0.0, car.a, car.b)
-    x = rng.normal([inputs.samples[0, YAW_RATE], rolling], [noise.yaw_rate, LOW_SPEED_STD], (n, 2))
+    rolling = slip_of_rolling_rear(inputs.samples[0, at.STEER], 0.0, car.a, car.b)
+    x = rng.normal([inputs.samples[0, at.YAW_RATE], rolling], [noise.yaw_rate, LOW_SPEED_STD], (n, 2))
     weights = np.full(n, 1.0 / n)
     density = np.array([noise.yaw_acceleration, noise.slip_rate]) * np.sqrt(DT)
     for sample, answer in zip(inputs.samples[1:], out[1:], strict=True):
-        given = (*sample[[VX, STEER, STEER_REAR, FXF, FXR, AX, AY]], car)
+        given = (*sample[[at.VX, at.STEER, at.STEER_REAR, at.FXF, at.FXR, at.AX, at.AY]], car)
         rates = np.array([single_track_rates(*p, *given)[0] for p in x])
         x = x + DT * rates + density * rng.normal(size=(n, 2))
         ay = np.array([single_track_rates(*p, *given)[1][1] for p in x])
-        misfit = ((x[:, 0] - sample[YAW_RATE]) / noise.yaw_rate) ** 2 + ((ay - sample[AY]) / noise.ay) ** 2
+        misfit = ((x[:, 0] - sample[at.YAW_RATE]) / noise.yaw_rate) ** 2 + (
+            (ay - sample[at.AY]) / noise.ay
+        ) ** 2
         weights = weights * np.exp(-0.5 * (misfit - misfit.min()))
         weights /= weights.sum()
         mean = weights @ x[:, 1]
@@ -319,7 +306,7 @@ def test_the_dynamic_particle_filter_on_linear_tyres_is_the_kalman_filter() -> N
 
 def test_missing_measurements_leave_the_weights_alone() -> None:
     samples = slalom(60).samples
-    samples[30:, [AY, YAW_RATE]] = np.nan
+    samples[30:, [at.AY, at.YAW_RATE]] = np.nan
     estimator = DynamicPF(GOLF, particles=100)
     started = estimator.start(DT)
     for sample in samples[:30]:
@@ -342,7 +329,7 @@ def test_with_equal_limits_the_adaptive_filter_is_the_plain_one() -> None:
 
 def test_the_number_of_particles_follows_the_need_between_its_limits() -> None:
     samples = slalom(600).samples
-    samples[300:, AY] += np.where(np.arange(300) // 10 % 2, 3.0, -3.0)  # forces come and go
+    samples[300:, at.AY] += np.where(np.arange(300) // 10 % 2, 3.0, -3.0)  # forces come and go
     estimator = AdaptivePF(GOLF, effective=200, least_particles=300, most_particles=4000)
     count = estimator.run(Inputs(DT, samples)).extra["particles [1]"]
     assert count[1] == 4000, "the first particles are spread wide"

@@ -10,6 +10,7 @@ from scipy.optimize import minimize
 from scipy.stats import chi2
 
 from crosscomb.errors import UsageError
+from crosscomb.filters import columns as at
 from crosscomb.filters.algebra.dense import (
     guarded_cholesky,
     joint_update,
@@ -19,26 +20,7 @@ from crosscomb.filters.algebra.dense import (
     propagate_cov,
     triangular_factor,
 )
-from crosscomb.filters.base import (
-    AX,
-    AY,
-    FXF,
-    FXR,
-    LOW_SPEED_STD,
-    MAX_BETA,
-    NIS,
-    SAMPLE_WIDTH,
-    STEER,
-    STEER_HELD,
-    STEER_REAR,
-    VFL,
-    VFR,
-    VX,
-    VX_HELD,
-    YAW_RATE,
-    Estimate,
-    Inputs,
-)
+from crosscomb.filters.base import LOW_SPEED_STD, MAX_BETA, Estimate, Inputs
 from crosscomb.filters.catalogue import CATALOGUE, make_filter
 from crosscomb.filters.combined.cross_combined import CrossCombinedUKF, CrossNoise
 from crosscomb.filters.kinematic.kf import KinematicNoise
@@ -131,9 +113,11 @@ def set_matched(
     """
     ax = ay = 0.0
     for _ in range(12):
-        set_contacts(contact, *sample[[STEER, STEER_REAR, FXF, FXR]], ax + errors[0], ay + errors[1], car)
+        set_contacts(
+            contact, *sample[[at.STEER, at.STEER_REAR, at.FXF, at.FXR]], ax + errors[0], ay + errors[1], car
+        )
         _, _, _, ax, ay = planar_rates(*state, contact, car)
-    sample[[AX, AY]] = ax + errors[0], ay + errors[1]
+    sample[[at.AX, at.AY]] = ax + errors[0], ay + errors[1]
     z = np.empty(6)
     expect(state, ax, ay, contact, z)
     return z
@@ -143,13 +127,13 @@ def set_matched(
 def own_drive(track: str, steps: int, steer: float = 0.03) -> tuple[Inputs, np.ndarray]:
     """Noiseless slalom of the planar model, started as the filters start, and its states ``(n, 3)``."""
     car = FirstOrderEKF(GOLF, track=track).car
-    samples = np.zeros((steps, SAMPLE_WIDTH))
-    samples[:, VFL:] = np.nan
+    samples = np.zeros((steps, at.SAMPLE_WIDTH))
+    samples[:, at.VFL :] = np.nan
     t = DT * np.arange(steps)
-    samples[:, STEER] = 0.02 + steer * np.sin(2.5 * t)
-    samples[:, STEER_REAR] = 0.1 * samples[:, STEER]
-    samples[:, FXF] = samples[:, FXR] = 900.0 * np.cos(0.7 * t)
-    beta = slip_of_rolling_rear(*samples[0, [STEER, STEER_REAR]], car.a, car.b)
+    samples[:, at.STEER] = 0.02 + steer * np.sin(2.5 * t)
+    samples[:, at.STEER_REAR] = 0.1 * samples[:, at.STEER]
+    samples[:, at.FXF] = samples[:, at.FXR] = 900.0 * np.cos(0.7 * t)
+    beta = slip_of_rolling_rear(*samples[0, [at.STEER, at.STEER_REAR]], car.a, car.b)
     states = np.empty((steps, 3))
     states[0] = 18.0, 18.0 * np.tan(beta), 0.1
     contact, state = contacts(), states[0].copy()
@@ -158,12 +142,12 @@ def own_drive(track: str, steps: int, steer: float = 0.03) -> tuple[Inputs, np.n
             # Loads belong to the sample at the end of the step; these are known once the state is.
             for _ in range(12):
                 state = states[k - 1].copy()
-                set_contacts(contact, *sample[[STEER, STEER_REAR, FXF, FXR, AX, AY]], car)
+                set_contacts(contact, *sample[[at.STEER, at.STEER_REAR, at.FXF, at.FXR, at.AX, at.AY]], car)
                 planar_move(state, contact, substeps(states[k - 1], DT, car), DT, car)
-                _, _, _, sample[AX], sample[AY] = planar_rates(*state, contact, car)
+                _, _, _, sample[at.AX], sample[at.AY] = planar_rates(*state, contact, car)
             states[k] = state
         z = set_matched(contact, sample, state, np.zeros(2), car) if k == 0 else measured(state, contact, car)
-        sample[VFL], sample[VFR], sample[YAW_RATE], sample[VX] = z[0], z[1], z[2], z[5]
+        sample[at.VFL], sample[at.VFR], sample[at.YAW_RATE], sample[at.VX] = z[0], z[1], z[2], z[5]
     return Inputs(DT, samples), states
 
 
@@ -179,16 +163,16 @@ def rough_drive() -> Inputs:
     """Noisy slalom with gaps in every channel, a stop, reversing, and without wheel speeds in a part."""
     rng = np.random.default_rng(2)
     samples = own_drive("single", 600, 0.06)[0].samples.copy()
-    columns = [VX, VFL, VFR, AX, AY, YAW_RATE]
+    columns = [at.VX, at.VFL, at.VFR, at.AX, at.AY, at.YAW_RATE]
     samples[:, columns] += rng.normal(0.0, [0.1, 0.2, 0.2, 0.3, 0.5, 0.01], (600, 6))
-    samples[350:500, VFL : VFR + 1] = np.nan
+    samples[350:500, at.VFL : at.VFR + 1] = np.nan
     for column, held in (
-        (AX, None),
-        (AY, None),
-        (YAW_RATE, None),
-        (VFL, None),
-        (VX, VX_HELD),
-        (STEER, STEER_HELD),
+        (at.AX, None),
+        (at.AY, None),
+        (at.YAW_RATE, None),
+        (at.VFL, None),
+        (at.VX, at.VX_HELD),
+        (at.STEER, at.STEER_HELD),
     ):
         for begin in rng.integers(1, 560, 4):
             stop = begin + rng.integers(1, 30)
@@ -197,10 +181,10 @@ def rough_drive() -> Inputs:
             else:
                 samples[begin:stop, column] = samples[begin - 1, column]
                 samples[begin:stop, held] = 1.0
-    samples[400:405, [AX, AY, YAW_RATE]] = np.nan
-    samples[400:405, VX_HELD] = 1.0
-    samples[250:270, VX] = 0.0
-    samples[270:280, VX] = -2.0
+    samples[400:405, [at.AX, at.AY, at.YAW_RATE]] = np.nan
+    samples[400:405, at.VX_HELD] = 1.0
+    samples[250:270, at.VX] = 0.0
+    samples[270:280, at.VX] = -2.0
     return Inputs(DT, samples)
 
 
@@ -239,12 +223,12 @@ def test_the_iterated_filter_converges_to_the_most_likely_state() -> None:
     estimator = IteratedEKF(GOLF, noise=PlanarNoise(ay=0.2, ax=0.3, yaw_rate=0.02), iterations=60)
     first = replace(estimator, iterations=1)
     sample = own_drive("single", 200, 0.06)[0].samples[120]
-    prior, cov = np.array([sample[VX], 1.5, sample[YAW_RATE]]), np.diag([0.3, 3.0, 0.2]) ** 2
+    prior, cov = np.array([sample[at.VX], 1.5, sample[at.YAW_RATE]]), np.diag([0.3, 3.0, 0.2]) ** 2
     contact = contacts()
-    given = sample[[STEER, STEER_REAR, FXF, FXR, AX, AY]]
+    given = sample[[at.STEER, at.STEER_REAR, at.FXF, at.FXR, at.AX, at.AY]]
     set_contacts(contact, *given, estimator.car)
     noise = estimator.noise
-    z = sample[[VFL, VFR, YAW_RATE, AX, AY]]
+    z = sample[[at.VFL, at.VFR, at.YAW_RATE, at.AX, at.AY]]
     std = np.array([noise.wheel_speed, noise.wheel_speed, noise.yaw_rate, noise.ax, noise.ay])
 
     def cost(x: np.ndarray) -> float:
@@ -417,26 +401,26 @@ def shaken_drive(
 ) -> tuple[np.ndarray, np.ndarray]:
     """One such drive; `first_std` [rad] is that of the first beta."""
     noise, car, contact = estimator.noise, estimator.car, contacts()
-    samples, truth = np.zeros((steps, SAMPLE_WIDTH)), np.empty((steps, 3))
-    samples[:, VFL:] = np.nan
-    samples[:, STEER] = 0.02 + 0.01 * np.sin(4.0 * DT * np.arange(steps))
-    rolling = slip_of_rolling_rear(samples[0, STEER], 0.0, car.a, car.b)
-    samples[0, [VX, YAW_RATE]] = 20.0, 0.15
+    samples, truth = np.zeros((steps, at.SAMPLE_WIDTH)), np.empty((steps, 3))
+    samples[:, at.VFL :] = np.nan
+    samples[:, at.STEER] = 0.02 + 0.01 * np.sin(4.0 * DT * np.arange(steps))
+    rolling = slip_of_rolling_rear(samples[0, at.STEER], 0.0, car.a, car.b)
+    samples[0, [at.VX, at.YAW_RATE]] = 20.0, 0.15
     at_start = np.array([20.0, 20.0 * np.tan(rolling), 0.15])
     truth[0] = rng.normal(at_start, [noise.speed, 20.0 * first_std, noise.yaw_rate])
     walk = np.sqrt(DT) * np.array([noise.u_rate, noise.v_rate, noise.yaw_acceleration])
     for k in range(1, steps):
         sample, errors, shake = samples[k], rng.normal(0.0, [noise.ax, noise.ay]), rng.normal(0.0, walk)
         for _ in range(4):  # loads follow from the measured accelerations, and these from the loads
-            set_contacts(contact, *sample[[STEER, STEER_REAR, FXF, FXR, AX, AY]], car)
+            set_contacts(contact, *sample[[at.STEER, at.STEER_REAR, at.FXF, at.FXR, at.AX, at.AY]], car)
             truth[k] = truth[k - 1]
             planar_move(truth[k], contact, substeps(truth[k - 1], DT, car), DT, car)
             truth[k] += shake
             z = measured(truth[k], contact, car)
-            sample[[AX, AY]] = z[3] + errors[0], z[4] + errors[1]
-        sample[[VFL, VFR]] = z[:2] + rng.normal(0.0, noise.wheel_speed, 2)
-        sample[YAW_RATE] = z[2] + rng.normal(0.0, noise.yaw_rate)
-        sample[VX] = z[5]
+            sample[[at.AX, at.AY]] = z[3] + errors[0], z[4] + errors[1]
+        sample[[at.VFL, at.VFR]] = z[:2] + rng.normal(0.0, noise.wheel_speed, 2)
+        sample[at.YAW_RATE] = z[2] + rng.normal(0.0, noise.yaw_rate)
+        sample[at.VX] = z[5]
     return samples, np.arctan2(truth[:, 1], truth[:, 0])
 
 
@@ -525,10 +509,10 @@ def test_steps_and_runs_agree_bit_for_bit(name: str) -> None:
 def test_answers_are_finite_and_bounded_whatever_comes(name: str) -> None:
     rng = np.random.default_rng(5)
     wild = rough_drive().samples.copy()
-    wild[:, AX:STEER] *= rng.uniform(0.0, 8.0, (len(wild), 3))
-    wild[:, STEER] *= 6.0
-    wild[:, [VFL, VFR]] *= rng.uniform(0.0, 2.0, (len(wild), 2))
-    wild[300:320, VFL] = 0.0  # a locked wheel
+    wild[:, at.AX : at.STEER] *= rng.uniform(0.0, 8.0, (len(wild), 3))
+    wild[:, at.STEER] *= 6.0
+    wild[:, [at.VFL, at.VFR]] *= rng.uniform(0.0, 2.0, (len(wild), 2))
+    wild[300:320, at.VFL] = 0.0  # a locked wheel
     for samples in (rough_drive().samples, wild):
         estimate = FILTERS[name].run(Inputs(DT, samples))
         assert np.isfinite(estimate.beta).all()
@@ -537,7 +521,7 @@ def test_answers_are_finite_and_bounded_whatever_comes(name: str) -> None:
         assert np.abs(estimate.beta).max() <= MAX_BETA + 1e-9
         assert np.isnan(estimate.nis[250:280]).all(), "nothing is updated at a stop"
         rolling = slip_of_rolling_rear(
-            *samples[260, [STEER, STEER_REAR]], GOLF.cg_to_front_axle, GOLF.cg_to_rear_axle
+            *samples[260, [at.STEER, at.STEER_REAR]], GOLF.cg_to_front_axle, GOLF.cg_to_rear_axle
         )
         assert estimate.beta[260] == rolling
 
@@ -545,8 +529,8 @@ def test_answers_are_finite_and_bounded_whatever_comes(name: str) -> None:
 @each_filter
 def test_left_and_right_are_alike(name: str) -> None:
     mirrored = rough_drive().samples.copy()
-    mirrored[:, [AY, YAW_RATE, STEER, STEER_REAR]] *= -1.0
-    mirrored[:, [VFL, VFR]] = mirrored[:, [VFR, VFL]]
+    mirrored[:, [at.AY, at.YAW_RATE, at.STEER, at.STEER_REAR]] *= -1.0
+    mirrored[:, [at.VFL, at.VFR]] = mirrored[:, [at.VFR, at.VFL]]
     estimate, other = FILTERS[name].run(rough_drive()), FILTERS[name].run(Inputs(DT, mirrored))
     # Simplex points are not symmetric themselves.
     tolerance = 0.02 if "simplex" in name or "spherical" in name else 1e-9
@@ -558,16 +542,16 @@ def test_measured_speed_stands_in_for_missing_wheel_speeds_only(name: str) -> No
     samples = own_drive("single", 200)[0].samples.copy()
     estimator = FILTERS[name]
     speedless, other_speed = samples.copy(), samples.copy()
-    other_speed[50:, VX] += 1.0
+    other_speed[50:, at.VX] += 1.0
     # The speed of the first sample starts the horizon of the receding filters.
     same = estimator.run(Inputs(DT, other_speed)).beta[:60], estimator.run(Inputs(DT, samples)).beta[:60]
     if not name.startswith("cubature"):
         np.testing.assert_array_equal(*same)
-    speedless[:, VFL:] = np.nan
-    other_speed[:, VFL:] = np.nan
+    speedless[:, at.VFL :] = np.nan
+    other_speed[:, at.VFL :] = np.nan
     heard = estimator.run(Inputs(DT, other_speed)).beta, estimator.run(Inputs(DT, speedless)).beta
     assert np.abs(heard[0] - heard[1])[60:].max() > 1e-4
-    other_speed[50:, VX_HELD] = speedless[50:, VX_HELD] = 1.0
+    other_speed[50:, at.VX_HELD] = speedless[50:, at.VX_HELD] = 1.0
     held = estimator.run(Inputs(DT, other_speed)), estimator.run(Inputs(DT, speedless))
     if not name.startswith("cubature"):
         np.testing.assert_array_equal(held[0].beta, held[1].beta)
@@ -576,7 +560,7 @@ def test_measured_speed_stands_in_for_missing_wheel_speeds_only(name: str) -> No
 def test_the_receding_horizon_forgets_all_that_is_older() -> None:
     samples = own_drive("single", 300)[0].samples
     wrong = samples.copy()
-    wrong[50:100, AY] += 4.0
+    wrong[50:100, at.AY] += 4.0
     estimator = CubatureRecedingHorizonKF(GOLF, horizon=0.2)
     right, misled = estimator.run(Inputs(DT, samples)).beta, estimator.run(Inputs(DT, wrong)).beta
     assert np.abs(right - misled)[50:100].max() > np.radians(0.2)
@@ -606,7 +590,7 @@ def test_the_hybrid_lies_between_its_parts_and_follows_the_likelier() -> None:
         if k == 105:
             assert started.state.weights[1] > max(0.9, before)
     assert started.state.weights.min() >= LEAST_WEIGHT
-    assert started.out[NIS] >= 0.0
+    assert started.out[at.NIS] >= 0.0
 
 
 def test_catalogue_names_and_settings() -> None:

@@ -8,7 +8,8 @@ import pytest
 from scipy.stats import chi2
 
 from crosscomb.filters import base
-from crosscomb.filters.base import SAMPLE_WIDTH, Inputs
+from crosscomb.filters import columns as at
+from crosscomb.filters.base import Inputs
 from crosscomb.filters.catalogue import make_filter, settings_of
 from crosscomb.filters.random_walk.double_track_ekf import DoubleTrackRandomWalkEKF, DoubleWalkNoise
 from crosscomb.filters.random_walk.ekf import FORCE_EXTRAS, RandomWalkEKF, WalkNoise
@@ -34,7 +35,7 @@ def drive(seconds: float, amplitude: float, noise: float = 0.0, seed: int = 0) -
     """Samples of a slalom of the linear single track at 20 m/s, with its beta."""
     car, rng = single_track(GOLF, "linear"), np.random.default_rng(seed)
     steer = amplitude * np.sin(2.0 * np.pi * 0.3 * np.arange(0.0, seconds, DT))
-    samples, truth = np.zeros((len(steer), SAMPLE_WIDTH)), np.empty(len(steer))
+    samples, truth = np.zeros((len(steer), at.SAMPLE_WIDTH)), np.empty(len(steer))
     samples[:, base.VFL :] = np.nan
     yaw_rate = beta = 0.0
     for k, angle in enumerate(steer):
@@ -116,7 +117,7 @@ SETTINGS = [
 @pytest.mark.parametrize(("cls", "settings"), SETTINGS)
 def test_nonsense_leaves_the_estimate_finite(cls: type, settings: dict[str, str]) -> None:
     rng = np.random.default_rng(7)
-    samples = np.zeros((2000, SAMPLE_WIDTH))
+    samples = np.zeros((2000, at.SAMPLE_WIDTH))
     samples[:, base.VX] = np.abs(20.0 + np.cumsum(rng.normal(0.0, 0.5, 2000)))
     samples[:, [base.AX, base.AY]] = rng.normal(0.0, 30.0, (2000, 2))
     samples[:, base.YAW_RATE] = rng.normal(0.0, 5.0, 2000)
@@ -134,7 +135,7 @@ def test_nonsense_leaves_the_estimate_finite(cls: type, settings: dict[str, str]
 def own_walk(steps: int, first: np.ndarray, shocks: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """States ``(steps, 6)`` and samples of the single-track filter's discrete model at 20 m/s."""
     state, states, jacobian = first.copy(), [first.copy()], np.zeros((4, 6))
-    samples = np.zeros((steps, SAMPLE_WIDTH))
+    samples = np.zeros((steps, at.SAMPLE_WIDTH))
     samples[:, base.VX] = 20.0
     samples[:, base.STEER] = 0.05 * np.sin(0.03 * np.arange(steps))
     for k in range(1, steps):
@@ -166,7 +167,7 @@ def test_noiseless_data_of_its_own_model_gives_the_truth() -> None:
 def test_noiseless_data_of_the_double_tracks_own_model_gives_the_truth() -> None:
     estimator, contact = DoubleTrackRandomWalkEKF(GOLF, slip_from="free"), contacts()
     x = np.array([20.0, 0.4, 0.1, 1200.0, 1300.0, 1000.0, 1100.0])
-    state, out, sample = estimator.make_state(), np.full(6, np.nan), np.zeros(SAMPLE_WIDTH)
+    state, out, sample = estimator.make_state(), np.full(6, np.nan), np.zeros(at.SAMPLE_WIDTH)
     state.mean[:], state.running[0] = x, 1
     state.cov[:] = np.diag([0.01, 0.01, 1e-3, 1e5, 1e5, 1e5, 1e5])
     for k in range(100):
@@ -219,7 +220,7 @@ def test_errors_of_the_double_track_are_as_large_as_it_says() -> None:
     for _ in range(runs):
         x = np.array([20.0, 0.0, 0.0, 0.0, 0.0])  # u, v, r and the axle forces, straight wheels
         state, out = estimator.make_state(), np.full(6, np.nan)
-        sample = np.zeros(SAMPLE_WIDTH)
+        sample = np.zeros(at.SAMPLE_WIDTH)
         sample[:5] = 20.0, 0.0, 0.0, 0.0, 0.0
         estimator.step_kernel(state, sample, estimator.car, noise, DT, out)
         state.cov[:] *= 0.01  # or the car spins

@@ -6,23 +6,10 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
+from crosscomb.filters import columns as at
 from crosscomb.filters.algebra.particles import normalise
 from crosscomb.filters.algebra.resampling import resample
-from crosscomb.filters.base import (
-    AX,
-    AY,
-    FXF,
-    FXR,
-    LOW_SPEED_STD,
-    MAX_BETA,
-    SAMPLE_WIDTH,
-    STEER,
-    STEER_REAR,
-    VX,
-    VX_HELD,
-    YAW_RATE,
-    Inputs,
-)
+from crosscomb.filters.base import LOW_SPEED_STD, MAX_BETA, Inputs
 from crosscomb.filters.random_walk.pf import FIRST_SPREAD, MOST_DOUBT, ParticleNoise, RandomWalkPF
 from crosscomb.filters.random_walk.rao_blackwell_pf import (
     MAX_FORCE_STD,
@@ -49,29 +36,29 @@ def slalom(steps: int, vx: float = 18.0, steer: float = 0.03) -> Inputs:
     """Noisy samples of a slalom, braking and pushing."""
     rng = np.random.default_rng(4)
     t = DT * np.arange(steps)
-    samples = np.zeros((steps, SAMPLE_WIDTH))
-    samples[:, VX] = vx * (1.0 + 0.2 * np.sin(0.6 * t))
-    samples[:, STEER] = steer * np.sin(2.0 * t)
-    samples[:, STEER_REAR] = -0.1 * samples[:, STEER]
-    gain = samples[:, VX] / (GOLF.wheelbase + 0.003 * samples[:, VX] ** 2)
-    samples[:, YAW_RATE] = gain * samples[:, STEER]
-    samples[:, AX] = 0.12 * vx * np.cos(0.6 * t)
-    samples[:, AY] = samples[:, VX] * samples[:, YAW_RATE]
-    samples[:, FXF] = samples[:, FXR] = 0.5 * GOLF.mass * samples[:, AX]
-    samples[:, [VX, AX, AY, YAW_RATE]] += rng.normal(0.0, [0.05, 0.2, 0.3, 0.01], (steps, 4))
+    samples = np.zeros((steps, at.SAMPLE_WIDTH))
+    samples[:, at.VX] = vx * (1.0 + 0.2 * np.sin(0.6 * t))
+    samples[:, at.STEER] = steer * np.sin(2.0 * t)
+    samples[:, at.STEER_REAR] = -0.1 * samples[:, at.STEER]
+    gain = samples[:, at.VX] / (GOLF.wheelbase + 0.003 * samples[:, at.VX] ** 2)
+    samples[:, at.YAW_RATE] = gain * samples[:, at.STEER]
+    samples[:, at.AX] = 0.12 * vx * np.cos(0.6 * t)
+    samples[:, at.AY] = samples[:, at.VX] * samples[:, at.YAW_RATE]
+    samples[:, at.FXF] = samples[:, at.FXR] = 0.5 * GOLF.mass * samples[:, at.AX]
+    samples[:, [at.VX, at.AX, at.AY, at.YAW_RATE]] += rng.normal(0.0, [0.05, 0.2, 0.3, 0.01], (steps, 4))
     return Inputs(DT, samples)
 
 
 def rough() -> Inputs:
     """A slalom with gaps, a stop, reverse driving, crawling about the gate and wild samples."""
     samples = slalom(1000).samples
-    samples[50:90, AY] = samples[70:120, YAW_RATE] = samples[100:130, AX] = np.nan
-    samples[200:260, VX], samples[200:260, VX_HELD] = samples[199, VX], 1.0
-    samples[300:900, AY] = samples[300:900, YAW_RATE] = np.nan
-    samples[400:440, VX], samples[440:460, VX] = 0.0, -2.0
-    samples[600:660, VX] = MIN_SPEED + 0.2 * np.sin(np.arange(60))
-    samples[910:913, AY], samples[920:922, YAW_RATE], samples[940, AX] = 400.0, -20.0, 1e6
-    samples[960:970, STEER] = 0.6
+    samples[50:90, at.AY] = samples[70:120, at.YAW_RATE] = samples[100:130, at.AX] = np.nan
+    samples[200:260, at.VX], samples[200:260, at.VX_HELD] = samples[199, at.VX], 1.0
+    samples[300:900, at.AY] = samples[300:900, at.YAW_RATE] = np.nan
+    samples[400:440, at.VX], samples[440:460, at.VX] = 0.0, -2.0
+    samples[600:660, at.VX] = MIN_SPEED + 0.2 * np.sin(np.arange(60))
+    samples[910:913, at.AY], samples[920:922, at.YAW_RATE], samples[940, at.AX] = 400.0, -20.0, 1e6
+    samples[960:970, at.STEER] = 0.6
     return Inputs(DT, samples)
 
 
@@ -95,15 +82,15 @@ def textbook(estimator: RaoBlackwellPF, inputs: Inputs, own: bool) -> tuple[np.n
     limit = (MAX_FORCE_STD * car.mass) ** 2
     r = np.diag([noise.yaw_rate, noise.accel, noise.accel]) ** 2
     first = inputs.samples[0]
-    axles = car.mass * first[AY] * np.array([car.b, car.a]) / (car.a + car.b)
-    z = np.tile(np.array([first[YAW_RATE], first[FXF], first[FXR], *axles]), (n, 1))
+    axles = car.mass * first[at.AY] * np.array([car.b, car.a]) / (car.a + car.b)
+    z = np.tile(np.array([first[at.YAW_RATE], first[at.FXF], first[at.FXR], *axles]), (n, 1))
     beta = ekf.beta[0] + FIRST_SPREAD[1] * (2.0 * rng.random(n) - 1.0)
     p = np.tile(np.diag(np.array([FIRST_SPREAD[0], *[2.0 * car.mass] * 4]) ** 2 / 3.0), (n, 1, 1))
     weights, log_weights, mean = np.full(n, 1.0 / n), np.zeros(n), np.insert(z[0], 1, ekf.beta[0])
     out, first_drawn_anew = np.full((len(inputs.samples), 4), np.nan), len(inputs.samples)
     for k in range(1, len(inputs.samples)):
         sample = inputs.samples[k]
-        given = (*sample[[VX, STEER, STEER_REAR]], car)
+        given = (*sample[[at.VX, at.STEER, at.STEER_REAR]], car)
         draws = rng.standard_normal(n)
         for i in range(n):
             pi = p[i] + DT * force * np.diag([0.0, *np.maximum(1.0 - np.diag(p[i])[1:] / limit, 0.0)])
@@ -125,7 +112,7 @@ def textbook(estimator: RaoBlackwellPF, inputs: Inputs, own: bool) -> tuple[np.n
             pi[0, 0] += DT * noise.yaw_acceleration**2
             # Measurements.
             h = np.array([np.eye(5)[0], ax_row, ay_row])
-            off = sample[[YAW_RATE, AX, AY]] - h @ z[i]
+            off = sample[[at.YAW_RATE, at.AX, at.AY]] - h @ z[i]
             s = h @ pi @ h.T + r
             gain = pi @ h.T @ np.linalg.inv(s)
             z[i] += gain @ off
@@ -228,8 +215,8 @@ def extended_kalman(
     car = RaoBlackwellPF(GOLF).car
     ekf = DynamicEKF(GOLF, noise.ekf).run(inputs)
     first = inputs.samples[0]
-    axles = car.mass * first[AY] * np.array([car.b, car.a]) / (car.a + car.b)
-    x = np.array([first[YAW_RATE], ekf.beta[0], first[FXF], first[FXR], *axles])
+    axles = car.mass * first[at.AY] * np.array([car.b, car.a]) / (car.a + car.b)
+    x = np.array([first[at.YAW_RATE], ekf.beta[0], first[at.FXF], first[at.FXR], *axles])
     p = np.diag(np.array([*FIRST_SPREAD[:2], *[2.0 * car.mass] * 4]) ** 2 / 3.0)
     walk = DT * np.diag([0.0, 0.0, *[(noise.force * car.mass) ** 2] * 4])
     shake = DT * np.diag([noise.yaw_acceleration**2, noise.slip_rate**2, 0.0, 0.0, 0.0, 0.0])
@@ -237,7 +224,7 @@ def extended_kalman(
     slopes, out = np.empty((4, 6)), np.full((len(inputs.samples), 2), np.nan)
     for k in range(1, len(inputs.samples)):
         sample = inputs.samples[k]
-        given = (*sample[[VX, STEER, STEER_REAR]], car)
+        given = (*sample[[at.VX, at.STEER, at.STEER_REAR]], car)
         random_walk_jacobian(x, *given, slopes)
         f = np.eye(6) + DT * np.vstack([slopes[:2], np.zeros((4, 6))])
         x[:2] += DT * np.array(random_walk_rates(x, *given)[:2])
@@ -247,7 +234,7 @@ def extended_kalman(
         h = np.vstack([np.eye(6)[0], slopes[2:], np.eye(6)[1]])
         r[3, 3] = (noise.pseudo**2 + min(ekf.beta_std[k], MOST_DOUBT) ** 2) / DT
         gain = p @ h.T @ np.linalg.inv(h @ p @ h.T + r)
-        x += gain @ (np.append(sample[[YAW_RATE, AX, AY]], ekf.beta[k]) - h @ x)
+        x += gain @ (np.append(sample[[at.YAW_RATE, at.AX, at.AY]], ekf.beta[k]) - h @ x)
         p = (np.eye(6) - gain @ h) @ p
         out[k] = x[1], np.sqrt(p[1, 1])
     return out[:, 0], out[:, 1]
@@ -271,9 +258,9 @@ def test_errors_of_the_forces_act_on_beta_for_as_long_as_they_last() -> None:
 def matched_drive(rng: np.random.Generator, steps: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """A drive of the model with its own noise: samples, true states (steps, 6) and measured beta (steps,)."""
     car, scale = RaoBlackwellPF(GOLF).car, np.array([1.0, 1.0, *[GOLF.mass] * 4])
-    samples = np.zeros((steps, SAMPLE_WIDTH))
-    samples[:, VX], samples[:, STEER] = 12.0, 0.03
-    samples[0, [YAW_RATE, AY]] = 0.12, 1.5
+    samples = np.zeros((steps, at.SAMPLE_WIDTH))
+    samples[:, at.VX], samples[:, at.STEER] = 12.0, 0.03
+    samples[0, [at.YAW_RATE, at.AY]] = 0.12, 1.5
     side = car.mass * 1.5 / (car.a + car.b)
     state = np.array([0.12, 0.01, 0.0, 0.0, car.b * side, car.a * side])
     state += scale * FIRST_SPREAD * rng.uniform(-1.0, 1.0, 6)
@@ -286,7 +273,7 @@ def matched_drive(rng: np.random.Generator, steps: int) -> tuple[np.ndarray, np.
         *rates, ax, ay = random_walk_rates(state, 12.0, 0.03, 0.0, car)
         state[:2] += DT * np.array(rates) + shaken[:2]
         stds = [NOISE.yaw_rate, NOISE.accel, NOISE.accel]
-        samples[k, [YAW_RATE, AX, AY]] = rng.normal([state[0], ax, ay], stds)
+        samples[k, [at.YAW_RATE, at.AX, at.AY]] = rng.normal([state[0], ax, ay], stds)
         truth[k], measured[k] = state, rng.normal(state[1], NOISE.pseudo / np.sqrt(DT))
     return samples, truth, measured
 
@@ -337,9 +324,11 @@ def test_steps_give_the_bits_of_a_run_and_the_answer_is_finite(particles: int, r
     assert np.isfinite(estimate.beta_std).all()
     assert np.all(np.abs(estimate.beta) <= MAX_BETA)
     assert np.all(estimate.beta_std > 0.0)
-    slow = ~(inputs.samples[:, VX] > MIN_SPEED)
+    slow = ~(inputs.samples[:, at.VX] > MIN_SPEED)
     car = estimator.car
-    rolling = [slip_of_rolling_rear(*s[[STEER, STEER_REAR]], car.a, car.b) for s in inputs.samples[slow]]
+    rolling = [
+        slip_of_rolling_rear(*s[[at.STEER, at.STEER_REAR]], car.a, car.b) for s in inputs.samples[slow]
+    ]
     np.testing.assert_array_equal(estimate.beta[slow], rolling)
     np.testing.assert_array_equal(estimate.beta_std[slow], LOW_SPEED_STD)
     assert np.isnan(estimate.nis[slow]).all()
@@ -355,7 +344,7 @@ def test_another_seed_is_another_estimate() -> None:
 
 
 def test_a_missing_or_wild_measurement_is_as_none() -> None:
-    for column, wild in ((AY, 200.0), (YAW_RATE, -15.0), (AX, 1e6)):
+    for column, wild in ((at.AY, 200.0), (at.YAW_RATE, -15.0), (at.AX, 1e6)):
         missing, absurd = slalom(100), slalom(100)
         missing.samples[60, column], absurd.samples[60, column] = np.nan, wild
         # The EKF that gives the pseudo-measurement believes what it gets; only what follows from it may differ.
@@ -368,7 +357,7 @@ def test_a_missing_or_wild_measurement_is_as_none() -> None:
 
 def test_forces_stay_bounded_without_measurements() -> None:
     samples = slalom(3000).samples
-    samples[100:, [AX, AY, YAW_RATE]] = np.nan
+    samples[100:, [at.AX, at.AY, at.YAW_RATE]] = np.nan
     estimator = RaoBlackwellPF(GOLF, particles=50)
     started = estimator.start(DT)
     for sample in samples:
@@ -380,8 +369,8 @@ def test_forces_stay_bounded_without_measurements() -> None:
 
 
 def test_a_turn_is_seen_in_the_axle_forces() -> None:
-    samples = np.zeros((400, SAMPLE_WIDTH))
-    samples[:, VX], samples[:, AY], samples[:, YAW_RATE] = 15.0, 3.0, 0.2
+    samples = np.zeros((400, at.SAMPLE_WIDTH))
+    samples[:, at.VX], samples[:, at.AY], samples[:, at.YAW_RATE] = 15.0, 3.0, 0.2
     estimate = RaoBlackwellPF(GOLF).run(Inputs(DT, samples))
     fyf, fyr = (estimate.extra[name][200:].mean() for name in ("fyf [N]", "fyr [N]"))
     side = GOLF.mass * 3.0 / GOLF.wheelbase

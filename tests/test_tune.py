@@ -11,7 +11,8 @@ import pytest
 from scipy.stats import multivariate_normal, norm
 
 from crosscomb.errors import UsageError
-from crosscomb.filters.base import AX, AY, SAMPLE_WIDTH, VX, YAW_RATE, Inputs, Started, make_inputs
+from crosscomb.filters import columns as at
+from crosscomb.filters.base import Inputs, Started, make_inputs
 from crosscomb.filters.catalogue import CATALOGUE, make_filter, settings_of
 from crosscomb.filters.kinematic.kf import KinematicKF, KinematicNoise
 from crosscomb.filters.random_walk.pf import ParticleNoise, RandomWalkPF
@@ -118,12 +119,12 @@ def kinematic_noise(**noise: float) -> KinematicNoise:
 def kinematic_model(sample: np.ndarray, noise: KinematicNoise) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Transition (4, 4), input (4,) and process noise (4, 4) of the kinematic filter over a sample."""
     keep = np.exp(-DT / noise.bias_time)
-    gain = np.reshape(input_gain(sample[YAW_RATE], DT), (2, 2))
+    gain = np.reshape(input_gain(sample[at.YAW_RATE], DT), (2, 2))
     step = np.diag([1.0, 1.0, keep, keep])
-    step[:2, :2], step[:2, 2:] = np.reshape(rotation(sample[YAW_RATE], DT), (2, 2)), -gain
-    held = np.concatenate([gain @ sample[[AX, AY]], np.zeros(2)])
+    step[:2, :2], step[:2, 2:] = np.reshape(rotation(sample[at.YAW_RATE], DT), (2, 2)), -gain
+    held = np.concatenate([gain @ sample[[at.AX, at.AY]], np.zeros(2)])
     drift = noise.accel_bias**2 * (1.0 - keep**2)
-    across = noise.accel**2 + (noise.ay_scale * sample[AY]) ** 2
+    across = noise.accel**2 + (noise.ay_scale * sample[at.AY]) ** 2
     return step, held, np.diag([noise.accel**2 * DT, across * DT, drift, drift])
 
 
@@ -131,8 +132,8 @@ def kinematic_log(noise: KinematicNoise, seed: int, steps: int = 3000) -> Signal
     """A drive of the kinematic filter's own model with the noise that it assumes."""
     rng = np.random.default_rng(seed)
     t = DT * np.arange(steps)
-    samples = np.zeros((steps, SAMPLE_WIDTH))
-    samples[:, YAW_RATE], samples[:, AY], samples[:, AX] = (
+    samples = np.zeros((steps, at.SAMPLE_WIDTH))
+    samples[:, at.YAW_RATE], samples[:, at.AY], samples[:, at.AX] = (
         0.3 * np.sin(0.8 * t),
         6.0 * np.sin(0.8 * t),
         np.cos(t),
@@ -142,7 +143,7 @@ def kinematic_log(noise: KinematicNoise, seed: int, steps: int = 3000) -> Signal
     for k in range(1, steps):
         step, held, added = kinematic_model(samples[k], noise)
         states[k] = step @ states[k - 1] + held + rng.normal(0.0, np.sqrt(np.diag(added)))
-    frame = pd.DataFrame(samples[:, [AX, AY, YAW_RATE]], columns=["ax", "ay", "yaw_rate"])
+    frame = pd.DataFrame(samples[:, [at.AX, at.AY, at.YAW_RATE]], columns=["ax", "ay", "yaw_rate"])
     vx = states[:, 0] + rng.normal(0.0, noise.speed, steps)
     beta = np.arctan2(states[:, 1], states[:, 0])
     return make_signals(frame.assign(t=t, vx=vx, steer=0.0, beta_ref=beta), f"log {seed}")
@@ -158,8 +159,8 @@ def test_the_likelihood_of_the_kalman_filter_is_that_of_all_measurements_at_once
     inputs = inputs_of(kinematic_log(noise, seed=1, steps=12))
     filter_ = KinematicKF(GOLF, noise)
     # The joint Gaussian of all vx, from the start on the first sample: its mean and covariance by the model.
-    mean = np.array([inputs.samples[0, VX], 0.0, 0.0, 0.0])
-    start = np.diag([noise.speed, inputs.samples[0, VX] * np.radians(2.0), *[noise.accel_bias] * 2]) ** 2
+    mean = np.array([inputs.samples[0, at.VX], 0.0, 0.0, 0.0])
+    start = np.diag([noise.speed, inputs.samples[0, at.VX] * np.radians(2.0), *[noise.accel_bias] * 2]) ** 2
     effect, added, means, rows = [np.eye(4)], [start], [], []
     for sample in inputs.samples[1:]:
         step, held, spread = kinematic_model(sample, noise)
@@ -175,7 +176,7 @@ def test_the_likelihood_of_the_kalman_filter_is_that_of_all_measurements_at_once
             shared = zip(rows[i], rows[j], added, strict=False)
             covariance[i, j] = sum(left @ spread @ right for left, right, spread in shared)
     covariance += np.eye(n) * noise.speed**2
-    expected = multivariate_normal(means, covariance).logpdf(inputs.samples[1:, VX])
+    expected = multivariate_normal(means, covariance).logpdf(inputs.samples[1:, at.VX])
     assert filter_.log_likelihood(inputs) == pytest.approx(expected, rel=1e-6)
 
 
@@ -183,8 +184,8 @@ def test_the_likelihood_of_the_particle_filter_is_the_mean_density_of_its_partic
     noise = ParticleNoise(yaw_rate=0.3, accel=3.0, pseudo=1e3)
     filter_ = RandomWalkPF(GOLF, noise, particles=200)
     state = filter_.make_state()._replace(evidence=np.zeros(1))
-    samples = np.zeros((2, SAMPLE_WIDTH))
-    samples[:, [VX, AX, AY, YAW_RATE]] = 20.0, 0.3, 2.0, 0.12
+    samples = np.zeros((2, at.SAMPLE_WIDTH))
+    samples[:, [at.VX, at.AX, at.AY, at.YAW_RATE]] = 20.0, 0.3, 2.0, 0.12
     started = Started(DT, state, np.empty(3))
     filter_.step(started, samples[0])
     assert state.evidence[0] == 0.0  # where it starts nothing is weighed

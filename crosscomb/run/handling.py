@@ -11,7 +11,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from crosscomb.filters.base import AY, MAX_BETA, STEER, STEER_REAR
+from crosscomb.filters import columns as at
+from crosscomb.filters.base import MAX_BETA
 from crosscomb.models.compiled import kernel
 from crosscomb.models.single_track import slip_angles
 from crosscomb.models.vehicle import Vehicle
@@ -147,8 +148,8 @@ def _handling_run(
     said = memory.said
     for k in range(beta.size):
         sample = samples[k]
-        if math.isfinite(sample[AY]):
-            memory.ay[0] = sample[AY]
+        if math.isfinite(sample[at.AY]):
+            memory.ay[0] = sample[at.AY]
         if not vx[k] > MIN_SPEED or curvature_std[k] * vx[k] > MOST_YAW_AGE_DOUBT or not valid[k]:
             said[0], said[1], said[2] = UNKNOWN, UNKNOWN, 0
             out[0, k], out[1, k], out[2, k] = math.nan, math.nan, math.nan
@@ -156,7 +157,16 @@ def _handling_run(
             continue
         side = min(max(memory.ay[0] / SIDE, -1.0), 1.0)
         front, rear, wanted = _spoken_for(
-            said[0], side, beta[k], beta_std[k], vx[k], curvature[k], sample[STEER], sample[STEER_REAR], a, b
+            said[0],
+            side,
+            beta[k],
+            beta_std[k],
+            vx[k],
+            curvature[k],
+            sample[at.STEER],
+            sample[at.STEER_REAR],
+            a,
+            b,
         )
         said[2] = said[2] + 1 if wanted == said[1] else 1
         said[1] = wanted

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from crosscomb.filters.base import STEER, STEER_REAR, VX, YAW_RATE
+from crosscomb.filters import columns as at
 from crosscomb.models.compiled import kernel
 from crosscomb.models.vehicle import Vehicle
 from crosscomb.signals import MIN_SPEED
@@ -78,9 +78,9 @@ def motion_of(last: np.ndarray, samples: np.ndarray, vehicle: Vehicle, dt: float
 @kernel
 def _motion_run(last, samples, wheelbase, dt, out):
     for k in range(samples.shape[0]):
-        sample, vx = samples[k], samples[k, VX]
-        if math.isfinite(sample[YAW_RATE]):
-            last[0], last[1] = sample[YAW_RATE], 0.0
+        sample, vx = samples[k], samples[k, at.VX]
+        if math.isfinite(sample[at.YAW_RATE]):
+            last[0], last[1] = sample[at.YAW_RATE], 0.0
         else:
             last[1] = min(last[1] + YAW_DRIFT * dt, MOST_YAW_DOUBT)
         out[0, k] = vx
@@ -88,7 +88,7 @@ def _motion_run(last, samples, wheelbase, dt, out):
             out[1, k], out[2, k] = last[0] / vx, last[1] / vx
         else:
             # Finite at standstill; together with beta of rolling without slip this is exact for every point.
-            out[1, k] = (math.tan(sample[STEER]) - math.tan(sample[STEER_REAR])) / wheelbase
+            out[1, k] = (math.tan(sample[at.STEER]) - math.tan(sample[at.STEER_REAR])) / wheelbase
             out[2, k] = 0.0
 
 

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from crosscomb.filters.base import AX, AY, STEER_HELD, VX, VX_HELD, YAW_RATE
+from crosscomb.filters import columns as at
 from crosscomb.models.compiled import kernel
 from crosscomb.signals import MIN_SPEED
 
@@ -61,16 +61,16 @@ def status_codes(ages: np.ndarray, samples: np.ndarray, outside: np.ndarray, dt:
 @kernel
 def _codes_run(ages, samples, outside, stale, codes):
     for k in range(codes.size):
-        sample, vx = samples[k], samples[k, VX]
-        no_ay, no_yaw_rate = not math.isfinite(sample[AY]), not math.isfinite(sample[YAW_RATE])
-        ages[0] = min(ages[0] + 1, NEVER) if sample[VX_HELD] == 1.0 else 0
-        ages[1] = min(ages[1] + 1, NEVER) if sample[STEER_HELD] == 1.0 else 0
+        sample, vx = samples[k], samples[k, at.VX]
+        no_ay, no_yaw_rate = not math.isfinite(sample[at.AY]), not math.isfinite(sample[at.YAW_RATE])
+        ages[0] = min(ages[0] + 1, NEVER) if sample[at.VX_HELD] == 1.0 else 0
+        ages[1] = min(ages[1] + 1, NEVER) if sample[at.STEER_HELD] == 1.0 else 0
         ages[2] = min(ages[2] + 1, NEVER) if no_ay and no_yaw_rate else 0
         code = 0
         if REVERSE_SPEED <= vx <= MIN_SPEED:
             code |= LOW_SPEED
-        held = sample[VX_HELD] + sample[STEER_HELD] > 0.0
-        if held or no_ay or no_yaw_rate or not math.isfinite(sample[AX]):
+        held = sample[at.VX_HELD] + sample[at.STEER_HELD] > 0.0
+        if held or no_ay or no_yaw_rate or not math.isfinite(sample[at.AX]):
             code |= DEGRADED
         if outside[k] and vx > MIN_SPEED:
             code |= EXTRAPOLATING

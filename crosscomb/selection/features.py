@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from crosscomb.filters.base import AX, AY, STEER, STEER_REAR, VFL, VFR, VRL, VRR, VX, YAW_RATE
+from crosscomb.filters import columns as at
 from crosscomb.filters.catalogue import CATALOGUE
 from crosscomb.models.vehicle import Vehicle
 from crosscomb.signals import MIN_SPEED
@@ -188,9 +188,9 @@ def _hold(value, held, i):
 def _rear_wheels(sample, yaw_rate, speed, track_rear):
     """Yaw rate of the rear wheels less that of the car, and rear over front wheel speed less 1; 0 where unknown."""
     turn, slip = 0.0, 0.0
-    rear, front = sample[VRL] + sample[VRR], sample[VFL] + sample[VFR]
+    rear, front = sample[at.VRL] + sample[at.VRR], sample[at.VFL] + sample[at.VFR]
     if math.isfinite(rear):
-        turn = (sample[VRR] - sample[VRL]) / track_rear - yaw_rate
+        turn = (sample[at.VRR] - sample[at.VRL]) / track_rear - yaw_rate
         if math.isfinite(front):
             slip = (rear - front) / max(front, 2.0 * MIN_SPEED)
     return turn, slip
@@ -199,8 +199,8 @@ def _rear_wheels(sample, yaw_rate, speed, track_rear):
 @njit(cache=True)
 def _channels(held, sample, beta, beta_std, nis, innovations, car, lead, out):
     """Write the channels of one sample."""
-    ay, yaw_rate = _hold(sample[AY], held, 0), _hold(sample[YAW_RATE], held, 1)
-    ax, speed, steer = _hold(sample[AX], held, 2), max(sample[VX], MIN_SPEED), sample[STEER]
+    ay, yaw_rate = _hold(sample[at.AY], held, 0), _hold(sample[at.YAW_RATE], held, 1)
+    ax, speed, steer = _hold(sample[at.AX], held, 2), max(sample[at.VX], MIN_SPEED), sample[at.STEER]
     wheels_turn, wheels_slip = _rear_wheels(sample, yaw_rate, speed, car.track_rear)
     slip_rate = ay / speed - yaw_rate
     filters = beta.size
@@ -211,14 +211,14 @@ def _channels(held, sample, beta, beta_std, nis, innovations, car, lead, out):
         mean += out[BETAS + i] / filters
         least, largest = min(least, out[BETAS + i]), max(largest, out[BETAS + i])
     out[0], out[1], out[2] = ay, yaw_rate, steer
-    out[3] = (steer - sample[STEER_REAR]) * speed / car.wheelbase - yaw_rate
+    out[3] = (steer - sample[at.STEER_REAR]) * speed / car.wheelbase - yaw_rate
     out[4], out[5] = slip_rate, wheels_turn
-    out[6] = sample[STEER_REAR] + car.b * yaw_rate / speed - car.rear_slip * ay
+    out[6] = sample[at.STEER_REAR] + car.b * yaw_rate / speed - car.rear_slip * ay
     if held[3] == 0.0:
         held[4] = yaw_rate
     held[4] += lead * (yaw_rate - held[4])
     out[7] = (yaw_rate - held[4]) / DIFFERENTIATION
-    out[8], out[9], out[10], out[11] = sample[VX], ax, abs(ay), abs(yaw_rate)
+    out[8], out[9], out[10], out[11] = sample[at.VX], ax, abs(ay), abs(yaw_rate)
     out[12], out[13] = abs(slip_rate), wheels_slip
     out[14], out[15], out[16], out[17] = ay * yaw_rate, ay * steer, ay * mean, largest - least
     for i in range(filters):

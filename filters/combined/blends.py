@@ -21,19 +21,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from crosscomb.filters import columns as at
 from crosscomb.filters.algebra.dense import copy_into
-from crosscomb.filters.base import (
-    AY,
-    BETA,
-    BETA_STD,
-    NIS,
-    STEER,
-    YAW_RATE,
-    Gaussian,
-    KernelFilter,
-    below_gate,
-    gaussian,
-)  # fmt: skip
+from crosscomb.filters.base import Gaussian, KernelFilter, below_gate, gaussian
 from crosscomb.filters.kinematic.kf import KinematicNoise, kinematic_state, kinematic_step
 from crosscomb.filters.single_track.ekf import DynamicNoise, dynamic_step
 from crosscomb.models.compiled import inlined, kernel
@@ -85,11 +75,11 @@ def run_members(state, sample, car, noise, dt, out):
 @inlined
 def mix(first, second, share, out):
     """Write the mixture of two estimates ``(>=3,)``, `share` of it the first."""
-    apart = first[BETA] - second[BETA]
-    variance = share * first[BETA_STD] ** 2 + (1.0 - share) * second[BETA_STD] ** 2
-    out[BETA] = second[BETA] + share * apart
-    out[BETA_STD] = math.sqrt(variance + share * (1.0 - share) * apart * apart)
-    out[NIS] = math.nan
+    apart = first[at.BETA] - second[at.BETA]
+    variance = share * first[at.BETA_STD] ** 2 + (1.0 - share) * second[at.BETA_STD] ** 2
+    out[at.BETA] = second[at.BETA] + share * apart
+    out[at.BETA_STD] = math.sqrt(variance + share * (1.0 - share) * apart * apart)
+    out[at.NIS] = math.nan
 
 
 @inlined
@@ -107,9 +97,9 @@ def calmness(slow, i, value, calm, lively, noise, dt):
 @inlined
 def fuzzy_step(state, sample, car, noise, dt, out):
     """One sample of the fuzzy blend; `out` ``(4,)`` gets beta, its standard deviation, NaN and the index."""
-    steer = calmness(state.slow, 0, sample[STEER], noise.steer_calm, noise.steer_lively, noise, dt)
-    ay = calmness(state.slow, 1, sample[AY], noise.ay_calm, noise.ay_lively, noise, dt)
-    yaw = calmness(state.slow, 2, sample[YAW_RATE], noise.yaw_calm, noise.yaw_lively, noise, dt)
+    steer = calmness(state.slow, 0, sample[at.STEER], noise.steer_calm, noise.steer_lively, noise, dt)
+    ay = calmness(state.slow, 1, sample[at.AY], noise.ay_calm, noise.ay_lively, noise, dt)
+    yaw = calmness(state.slow, 2, sample[at.YAW_RATE], noise.yaw_calm, noise.yaw_lively, noise, dt)
     index = noise.yaw_weight * yaw + 0.5 * (1.0 - noise.yaw_weight) * (steer + ay)
     out[3] = index
     if not run_members(state, sample, car, noise, dt, out):
@@ -121,12 +111,12 @@ def fusion_step(state, sample, car, noise, dt, out):
     """One sample of the fusion; `out` ``(3,)`` gets beta, its spread and NaN."""
     if run_members(state, sample, car, noise, dt, out):
         return
-    first, second = 1.0 / state.kinematic_out[BETA_STD] ** 2, 1.0 / state.dynamic_out[BETA_STD] ** 2
+    first, second = 1.0 / state.kinematic_out[at.BETA_STD] ** 2, 1.0 / state.dynamic_out[at.BETA_STD] ** 2
     share = first / (first + second)
-    apart = state.kinematic_out[BETA] - state.dynamic_out[BETA]
-    out[BETA] = state.dynamic_out[BETA] + share * apart
-    out[BETA_STD] = math.sqrt(2.0 / (first + second) + share * (1.0 - share) * apart * apart)
-    out[NIS] = math.nan
+    apart = state.kinematic_out[at.BETA] - state.dynamic_out[at.BETA]
+    out[at.BETA] = state.dynamic_out[at.BETA] + share * apart
+    out[at.BETA_STD] = math.sqrt(2.0 / (first + second) + share * (1.0 - share) * apart * apart)
+    out[at.NIS] = math.nan
 
 
 @kernel

@@ -15,15 +15,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from crosscomb.filters import columns as at
 from crosscomb.filters.algebra.dense import copy_into
-from crosscomb.filters.base import (
-    BETA,
-    VX,
-    YAW_RATE,
-    Gaussian,
-    KernelFilter,
-    below_gate,
-)  # fmt: skip
+from crosscomb.filters.base import Gaussian, KernelFilter, below_gate
 from crosscomb.filters.combined.blends import mix
 from crosscomb.filters.kinematic.kf import KinematicNoise, kinematic_state, kinematic_step, velocity_update
 from crosscomb.filters.planar.shared import PlanarNoise
@@ -62,10 +56,10 @@ def smooth_step(value):
 @inlined
 def kinematic_share(sample, noise):
     """Weight of the kinematic filter; 0 where the yaw rate is not known."""
-    if not math.isfinite(sample[YAW_RATE]):
+    if not math.isfinite(sample[at.YAW_RATE]):
         return 0.0
-    turning = smooth_step((abs(sample[YAW_RATE]) - noise.turning) / noise.turning_width)
-    return turning * smooth_step((sample[VX] - noise.moving) / noise.moving_width)
+    turning = smooth_step((abs(sample[at.YAW_RATE]) - noise.turning) / noise.turning_width)
+    return turning * smooth_step((sample[at.VX] - noise.moving) / noise.moving_width)
 
 
 @inlined
@@ -84,7 +78,7 @@ def cross_step(state, sample, car, noise, dt, out):
     # The correction counts from the next sample on; its error lasts, so it counts once per second.
     mean = state.kinematic.mean
     variance = (noise.support * mean[0]) ** 2 / (dt * (1.0 - share + 1e-9))
-    innovation = mean[0] * math.tan(state.dynamic_out[BETA]) - mean[1]
+    innovation = mean[0] * math.tan(state.dynamic_out[at.BETA]) - mean[1]
     velocity_update(state.kinematic, 0.0, 1.0, innovation, variance)
 
 

@@ -19,24 +19,18 @@ from typing import NamedTuple
 
 import numpy as np
 
+from crosscomb.filters import columns as at
 from crosscomb.filters.algebra.dense import copy_into
 from crosscomb.filters.base import (
-    AX,
-    AY,
-    BETA,
-    BETA_STD,
     LOG_2_PI,
     MAX_BETA,
-    STEER_HELD,
-    VX,
-    YAW_RATE,
     Gaussian,
     below_gate,
     low_speed_answer,
     normal_log_density,
     propagate,
     scalar_update,
-)  # fmt: skip
+)
 from crosscomb.filters.single_track.ekf import DynamicNoise, dynamic_predict, dynamic_update
 from crosscomb.models.compiled import inlined
 from crosscomb.models.single_track import SingleTrack, body_rates, slip_rate_slope
@@ -86,17 +80,17 @@ class Bank(NamedTuple):
 @inlined
 def slip_predict(state, sample, noise, dt):
     """Predict [yaw_rate, beta] by the kinematic model; a missing channel keeps beta and widens it."""
-    mean, vx = state.mean, sample[VX]
-    known = math.isfinite(sample[AX]) and math.isfinite(sample[AY])
+    mean, vx = state.mean, sample[at.VX]
+    known = math.isfinite(sample[at.AX]) and math.isfinite(sample[at.AY])
     rate, slope, by_yaw = 0.0, 0.0, 0.0
     if known:
         cosine, sine = math.cos(mean[1]), math.sin(mean[1])
         # The accelerations are those of a unit mass under forces in the axes of the car.
         _, rate, _, _ = body_rates(
-            sample[AX], 0.0, sample[AY], 0.0, vx, mean[0],
+            sample[at.AX], 0.0, sample[at.AY], 0.0, vx, mean[0],
             1.0, 0.0, 1.0, 0.0, cosine, sine, 1.0, 1.0, 0.0, 0.0,
         )  # fmt: skip
-        slope, by_yaw = slip_rate_slope(sample[AX], sample[AY], cosine, sine, vx), -1.0
+        slope, by_yaw = slip_rate_slope(sample[at.AX], sample[at.AY], cosine, sine, vx), -1.0
     beta = mean[1] + dt * (rate - noise.relaxation * mean[1])
     mean[1] = min(max(beta, -MAX_BETA), MAX_BETA)
     density = (noise.accel if known else noise.missing_accel) / vx
@@ -110,12 +104,12 @@ def slip_predict(state, sample, noise, dt):
 def slip_update(state, sample, noise):
     """Update the kinematic model with the yaw rate; give the NIS and the log likelihood of both channels."""
     nis, log_likelihood = math.nan, 0.0
-    if math.isfinite(sample[YAW_RATE]):
+    if math.isfinite(sample[at.YAW_RATE]):
         variance = state.cov[0, 0] + noise.dynamic.yaw_rate**2
-        nis = scalar_update(state, 1.0, 0.0, sample[YAW_RATE] - state.mean[0], noise.dynamic.yaw_rate**2)
+        nis = scalar_update(state, 1.0, 0.0, sample[at.YAW_RATE] - state.mean[0], noise.dynamic.yaw_rate**2)
         state.mean[1] = min(max(state.mean[1], -MAX_BETA), MAX_BETA)
         log_likelihood += normal_log_density(nis, variance)
-    if math.isfinite(sample[AY]):
+    if math.isfinite(sample[at.AY]):
         log_likelihood += normal_log_density(1.0, noise.surprise**2)
     return nis, log_likelihood
 
@@ -127,12 +121,12 @@ def tyre_update(state, sample, car, noise):
     By the matrix determinant lemma det S = det R det P_prior / det P_posterior, however many were measured.
     """
     cov, n, noises = state.cov, 0, 0.0
-    if math.isfinite(sample[YAW_RATE]):
+    if math.isfinite(sample[at.YAW_RATE]):
         n += 1
         noises += 2.0 * math.log(noise.yaw_rate)
-    if math.isfinite(sample[AY]):
+    if math.isfinite(sample[at.AY]):
         n += 1
-        wrong_ay = noise.missing_steer * sample[STEER_HELD] * car.stiffness_front / car.mass
+        wrong_ay = noise.missing_steer * sample[at.STEER_HELD] * car.stiffness_front / car.mass
         noises += math.log(noise.ay**2 + wrong_ay**2)
     if n == 0:
         return math.nan, 0.0
@@ -185,11 +179,11 @@ def bank_start(bank, sample, cars, noise, out):
         return False
     low_speed_answer(sample, cars.high, out)
     bank.running[0] = 0 if slow else 1
-    yaw_rate = sample[YAW_RATE] if math.isfinite(sample[YAW_RATE]) else 0.0
+    yaw_rate = sample[at.YAW_RATE] if math.isfinite(sample[at.YAW_RATE]) else 0.0
     for member in (bank.high, bank.low, bank.kinematic):
-        member.mean[0], member.mean[1] = yaw_rate, out[BETA]
+        member.mean[0], member.mean[1] = yaw_rate, out[at.BETA]
         member.cov[0, 0], member.cov[0, 1], member.cov[1, 0] = noise.dynamic.yaw_rate**2, 0.0, 0.0
-        member.cov[1, 1] = out[BETA_STD] ** 2
+        member.cov[1, 1] = out[at.BETA_STD] ** 2
     bank.probability[0], bank.probability[1], bank.probability[2] = model_shares(noise)
     copy_into(out[3:], bank.probability)
     return True

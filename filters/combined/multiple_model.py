@@ -22,14 +22,9 @@ from typing import Any
 
 import numpy as np
 
+from crosscomb.filters import columns as at
 from crosscomb.filters.algebra.dense import copy_into
-from crosscomb.filters.base import (
-    BETA,
-    BETA_STD,
-    NIS,
-    KernelFilter,
-    gaussian,
-)  # fmt: skip
+from crosscomb.filters.base import KernelFilter, gaussian
 from crosscomb.filters.combined.model_bank import (
     MODELS,
     Bank,
@@ -87,13 +82,13 @@ def bank_answer(bank, out):
     """Write the mixture's beta, its standard deviation, the mean NIS and the probabilities."""
     mean, cov = bank.mixed_mean[0], bank.mixed_cov[0]
     combine(bank, bank.probability, mean, cov)
-    out[BETA], out[BETA_STD] = mean[1], math.sqrt(cov[1, 1])
+    out[at.BETA], out[at.BETA_STD] = mean[1], math.sqrt(cov[1, 1])
     nis, total = 0.0, 0.0
     for i in range(MODELS):
         if math.isfinite(bank.nis[i]):
             nis += bank.probability[i] * bank.nis[i]
             total += bank.probability[i]
-    out[NIS] = nis / total if total > 0.0 else math.nan
+    out[at.NIS] = nis / total if total > 0.0 else math.nan
     copy_into(out[3:], bank.probability)
 
 

@@ -17,23 +17,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from crosscomb.filters import columns as at
 from crosscomb.filters.algebra.dense import joseph_update, propagate_cov
-from crosscomb.filters.base import (
-    AX,
-    AY,
-    BETA,
-    BETA_STD,
-    GNSS_COURSE,
-    GNSS_SPEED,
-    HEADING,
-    NIS,
-    VX,
-    VX_HELD,
-    YAW_RATE,
-    KernelFilter,
-    below_gate,
-    low_speed_answer,
-)  # fmt: skip
+from crosscomb.filters.base import KernelFilter, below_gate, low_speed_answer
 from crosscomb.filters.kinematic.kf import MOST_BIAS, inertial_known, limit_slip, velocity_answer
 from crosscomb.models.compiled import inlined, kernel
 from crosscomb.models.kinematic import input_gain, rotation
@@ -87,10 +73,10 @@ def wrap(angle):
 def gnss_predict(state, sample, noise, dt):
     """Predict the seven states over dt; a missing inertial channel keeps the motion and widens it."""
     mean, cov, f, q = state.mean, state.cov, state.transition, state.added
-    known = inertial_known(sample[AX], sample[AY], sample[YAW_RATE])
-    ax = sample[AX] - mean[BIAS_AX] if known else 0.0
-    ay = sample[AY] - mean[BIAS_AY] if known else 0.0
-    yaw_rate = sample[YAW_RATE] - mean[BIAS_YAW] if known else 0.0
+    known = inertial_known(sample[at.AX], sample[at.AY], sample[at.YAW_RATE])
+    ax = sample[at.AX] - mean[BIAS_AX] if known else 0.0
+    ay = sample[at.AY] - mean[BIAS_AY] if known else 0.0
+    yaw_rate = sample[at.YAW_RATE] - mean[BIAS_YAW] if known else 0.0
     f00, f01, f10, f11 = rotation(yaw_rate, dt)
     g00, g01, g10, g11 = input_gain(yaw_rate, dt)
     decay = math.exp(-noise.relaxation * min(state.age[0] / noise.outage, 1.0) * dt)
@@ -136,30 +122,30 @@ def gnss_update(state, sample, noise):
     """Update with the speed, fix and heading that are there; give the NIS, NaN without any."""
     mean, cov, row, work = state.mean, state.cov, state.row, state.work
     nis, count = 0.0, 0
-    if sample[VX_HELD] == 0.0:
+    if sample[at.VX_HELD] == 0.0:
         row[:] = 0.0
         row[0], row[SCALE] = 1.0 + mean[SCALE], mean[0]
-        nis += joseph_update(mean, cov, row, sample[VX] - row[0] * mean[0], noise.speed**2, work)
+        nis += joseph_update(mean, cov, row, sample[at.VX] - row[0] * mean[0], noise.speed**2, work)
         count += 1
-    if math.isfinite(sample[HEADING]):
+    if math.isfinite(sample[at.HEADING]):
         row[:] = 0.0
         row[PSI] = 1.0
-        nis += joseph_update(mean, cov, row, wrap(sample[HEADING] - mean[PSI]), noise.heading**2, work)
+        nis += joseph_update(mean, cov, row, wrap(sample[at.HEADING] - mean[PSI]), noise.heading**2, work)
         count += 1
-    if math.isfinite(sample[GNSS_SPEED]):
+    if math.isfinite(sample[at.GNSS_SPEED]):
         speed = math.hypot(mean[0], mean[1])
         row[:] = 0.0
         row[0], row[1] = mean[0] / speed, mean[1] / speed
-        nis += joseph_update(mean, cov, row, sample[GNSS_SPEED] - speed, noise.gnss_velocity**2, work)
+        nis += joseph_update(mean, cov, row, sample[at.GNSS_SPEED] - speed, noise.gnss_velocity**2, work)
         count += 1
-    if math.isfinite(sample[GNSS_COURSE]):
+    if math.isfinite(sample[at.GNSS_COURSE]):
         speed2 = mean[0] * mean[0] + mean[1] * mean[1]
         row[:] = 0.0
         row[0], row[1], row[PSI] = -mean[1] / speed2, mean[0] / speed2, 1.0
-        innovation = wrap(sample[GNSS_COURSE] - mean[PSI] - math.atan2(mean[1], mean[0]))
+        innovation = wrap(sample[at.GNSS_COURSE] - mean[PSI] - math.atan2(mean[1], mean[0]))
         nis += joseph_update(mean, cov, row, innovation, noise.gnss_velocity**2 / speed2, work)
         count += 1
-        if math.isfinite(sample[HEADING]):
+        if math.isfinite(sample[at.HEADING]):
             state.age[0] = 0.0
     return nis if count > 0 else math.nan
 
@@ -185,9 +171,13 @@ def gnss_start(state, sample, car, noise, out):
         cov[SCALE, SCALE] = noise.scale**2
     cov[:3, :] = 0.0
     cov[:, :3] = 0.0
-    mean[0], mean[PSI] = sample[VX] / (1.0 + mean[SCALE]), 0.0
-    mean[1] = mean[0] * math.tan(out[BETA])
-    cov[0, 0], cov[1, 1], cov[PSI, PSI] = noise.speed**2, (sample[VX] * out[BETA_STD]) ** 2, UNKNOWN_HEADING
+    mean[0], mean[PSI] = sample[at.VX] / (1.0 + mean[SCALE]), 0.0
+    mean[1] = mean[0] * math.tan(out[at.BETA])
+    cov[0, 0], cov[1, 1], cov[PSI, PSI] = (
+        noise.speed**2,
+        (sample[at.VX] * out[at.BETA_STD]) ** 2,
+        UNKNOWN_HEADING,
+    )
     state.running[0] = 1
     state.age[0] = noise.outage
     return True
@@ -209,7 +199,7 @@ def gnss_kinematic_step(state, sample, car, noise, dt, out):
         return
     gnss_predict(state, sample, noise, dt)
     limit_slip(state.mean)
-    out[NIS] = gnss_update(state, sample, noise)
+    out[at.NIS] = gnss_update(state, sample, noise)
     limit_slip(state.mean)
     limit_errors(state.mean, noise)
     velocity_answer(state, out)

@@ -22,25 +22,15 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from crosscomb.filters import columns as at
 from crosscomb.filters.base import (
-    AX,
-    AY,
-    BETA,
-    BETA_STD,
     MAX_BETA,
-    NIS,
-    STEER,
-    STEER_HELD,
-    STEER_REAR,
-    VX,
-    VX_HELD,
-    YAW_RATE,
     Gaussian,
     KernelFilter,
     below_gate,
     low_speed_answer,
     normal_log_density,
-)  # fmt: skip
+)
 from crosscomb.models.compiled import inlined, kernel
 from crosscomb.models.kinematic import input_gain, rolling_curvature, rolling_rear, rotation
 from crosscomb.signals import MIN_SPEED
@@ -172,12 +162,12 @@ def kinematic_start(state, sample, car, noise, dt, out):
     state.running[0] = 0
     if slow:
         return True
-    vx = sample[VX]
-    mean[0], mean[1] = vx, vx * math.tan(out[BETA])
+    vx = sample[at.VX]
+    mean[0], mean[1] = vx, vx * math.tan(out[at.BETA])
     for i in range(2):
         for j in range(4):
             cov[i, j] = cov[j, i] = 0.0
-    cov[0, 0], cov[1, 1] = noise.speed**2, (vx * out[BETA_STD]) ** 2
+    cov[0, 0], cov[1, 1] = noise.speed**2, (vx * out[at.BETA_STD]) ** 2
     state.running[0] = 1
     return True
 
@@ -232,8 +222,8 @@ def velocity_update(state, h0, h1, innovation, variance):
 def kinematic_update(state, sample, noise):
     """Update with the measured vx; give the NIS and the innovation [m/s], NaN where vx is only held."""
     mean = state.mean
-    if sample[VX_HELD] == 0.0:
-        innovation = sample[VX] - mean[0]
+    if sample[at.VX_HELD] == 0.0:
+        innovation = sample[at.VX] - mean[0]
         nis, s = velocity_update(state, 1.0, 0.0, innovation, noise.speed**2)
         if state.evidence.size > 0:
             state.evidence[0] += normal_log_density(nis, s)
@@ -258,16 +248,16 @@ def rolling_measurement(sample, vx, bias_ay, car, noise, dt):
     variance : float [m^2/s^2]
         Infinite where the car may slide.
     """
-    ay, yaw_rate = sample[AY], sample[YAW_RATE]
+    ay, yaw_rate = sample[at.AY], sample[at.YAW_RATE]
     if not abs(yaw_rate) < MOST_YAW_RATE:
         return 0.0, 0.0, BLIND * BLIND / dt
     side = ay - bias_ay if abs(ay) < MOST_ACCEL else vx * yaw_rate
     # While the steering angle is missing only a straight is known to be one.
-    known = sample[STEER_HELD] == 0.0
-    steered = vx * rolling_curvature(sample[STEER], sample[STEER_REAR], car.a + car.b) if known else 0.0
+    known = sample[at.STEER_HELD] == 0.0
+    steered = vx * rolling_curvature(sample[at.STEER], sample[at.STEER_REAR], car.a + car.b) if known else 0.0
     astray, used = (yaw_rate - steered) / noise.disagreement, side / noise.demand
     share = math.exp(-astray * astray - used * used)
-    h, rest = rolling_rear(yaw_rate, sample[STEER_REAR], car.b)
+    h, rest = rolling_rear(yaw_rate, sample[at.STEER_REAR], car.b)
     if share < LEAST_SHARE:
         return h, rest, math.inf
     slip = noise.rear_slip * side * vx
@@ -317,10 +307,10 @@ def velocity_answer(state, out):
     """Write beta of the state [vx, vy, ...] and its standard deviation."""
     mean, cov = state.mean, state.cov
     speed2 = mean[0] * mean[0] + mean[1] * mean[1]
-    out[BETA] = math.atan2(mean[1], mean[0])
+    out[at.BETA] = math.atan2(mean[1], mean[0])
     # beta = atan2(vy, vx): its gradient is [-vy, vx] / V^2
     spread = mean[1] ** 2 * cov[0, 0] - 2.0 * mean[0] * mean[1] * cov[0, 1] + mean[0] ** 2 * cov[1, 1]
-    out[BETA_STD] = math.sqrt(spread) / speed2
+    out[at.BETA_STD] = math.sqrt(spread) / speed2
 
 
 @inlined
@@ -331,8 +321,8 @@ def kinematic_step(state, sample, car, noise, dt, out):
     """
     if kinematic_start(state, sample, car, noise, dt, out):
         return math.nan, math.nan
-    kinematic_predict(state, sample[AX], sample[AY], sample[YAW_RATE], 1.0, 0.0, noise, dt)
-    out[NIS], innovation_vx = kinematic_update(state, sample, noise)
+    kinematic_predict(state, sample[at.AX], sample[at.AY], sample[at.YAW_RATE], 1.0, 0.0, noise, dt)
+    out[at.NIS], innovation_vx = kinematic_update(state, sample, noise)
     limit_slip(state.mean)
     innovation_vy = rolling_update(state, sample, car, noise, dt)
     limit_slip(state.mean)
@@ -344,7 +334,7 @@ def kinematic_step(state, sample, car, noise, dt, out):
 @inlined
 def telling_kinematic_step(state, sample, car, noise, dt, out):
     """One sample of the kinematic filter; `out` ``(5,)`` gets the innovations too, as in `KinematicKF.extras`."""
-    out[NIS + 1], out[NIS + 2] = kinematic_step(state, sample, car, noise, dt, out)
+    out[at.NIS + 1], out[at.NIS + 2] = kinematic_step(state, sample, car, noise, dt, out)
 
 
 @kernel

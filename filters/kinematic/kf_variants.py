@@ -20,20 +20,8 @@ import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from crosscomb.filters.base import (
-    AX,
-    AY,
-    FXF,
-    FXR,
-    MAX_BETA,
-    NIS,
-    STEER,
-    STEER_REAR,
-    VX,
-    YAW_RATE,
-    Gaussian,
-    KernelFilter,
-)  # fmt: skip
+from crosscomb.filters import columns as at
+from crosscomb.filters.base import MAX_BETA, Gaussian, KernelFilter
 from crosscomb.filters.kinematic.kf import (
     blind_update,
     inertial_known,
@@ -97,8 +85,8 @@ def steady_slip(sample, car):
 
     The rear axle carries its share a / L of the lateral force m ay.
     """
-    rear_slip = car.mass * car.a * sample[AY] / ((car.a + car.b) * car.stiffness_rear)
-    return sample[STEER_REAR] + car.b * sample[YAW_RATE] / sample[VX] - rear_slip
+    rear_slip = car.mass * car.a * sample[at.AY] / ((car.a + car.b) * car.stiffness_rear)
+    return sample[at.STEER_REAR] + car.b * sample[at.YAW_RATE] / sample[at.VX] - rear_slip
 
 
 @inlined
@@ -106,19 +94,19 @@ def zero_yaw_step(state, sample, car, noise, dt, out):
     """One sample of the measuring filter; `out` ``(3,)`` gets beta, its standard deviation and the NIS."""
     if kinematic_start(state, sample, car, noise, dt, out):
         return
-    kinematic_predict(state, sample[AX], sample[AY], sample[YAW_RATE], 1.0, 0.0, noise, dt)
+    kinematic_predict(state, sample[at.AX], sample[at.AY], sample[at.YAW_RATE], 1.0, 0.0, noise, dt)
     nis, _ = kinematic_update(state, sample, noise)
-    share = straight_share(sample[YAW_RATE], noise.turning)
-    if share > 0.0 and math.isfinite(sample[AY]):
+    share = straight_share(sample[at.YAW_RATE], noise.turning)
+    if share > 0.0 and math.isfinite(sample[at.AY]):
         # Its error lasts, so it counts as one measurement per second, spread over the samples.
-        variance = (noise.pseudo * sample[VX]) ** 2 / (dt * share)
-        pseudo = sample[VX] * math.tan(min(max(steady_slip(sample, car), -MAX_BETA), MAX_BETA))
+        variance = (noise.pseudo * sample[at.VX]) ** 2 / (dt * share)
+        pseudo = sample[at.VX] * math.tan(min(max(steady_slip(sample, car), -MAX_BETA), MAX_BETA))
         part, _ = velocity_update(state, 0.0, 1.0, pseudo - state.mean[1], variance)
         nis = part if math.isnan(nis) else nis + part
-    blind_update(state, sample[YAW_RATE], dt)
+    blind_update(state, sample[at.YAW_RATE], dt)
     limit_slip(state.mean)
     limit_biases(state.mean, noise)
-    out[NIS] = nis
+    out[at.NIS] = nis
     velocity_answer(state, out)
 
 
@@ -133,13 +121,13 @@ def zero_yaw_run(state, samples, car, noise, dt, out):
 def blend_predict(state, sample, share, car, noise, dt):
     """Predict [vx, vy] over dt, in the given share with the lateral acceleration that the tyres give."""
     mean = state.mean
-    vx, ax, ay, yaw_rate = sample[VX], sample[AX], sample[AY], sample[YAW_RATE]
+    vx, ax, ay, yaw_rate = sample[at.VX], sample[at.AX], sample[at.AY], sample[at.YAW_RATE]
     steps = stable_substeps(vx, dt, car)
     h = dt / steps
     for _ in range(steps):
         _, (_, ay_tyres), jacobian = single_track_rates(
             yaw_rate, math.atan2(mean[1], mean[0]), vx,
-            sample[STEER], sample[STEER_REAR], sample[FXF], sample[FXR], ax, ay, car,
+            sample[at.STEER], sample[at.STEER_REAR], sample[at.FXF], sample[at.FXR], ax, ay, car,
         )  # fmt: skip
         # The tyres answer to the state: the transition is F + G slope = F (I + F^-1 G slope), and F^-1 G is
         # the gain of a frame that turns the other way.
@@ -159,13 +147,13 @@ def blend_step(state, sample, car, noise, dt, out):
     """One sample of the blending filter; `out` ``(3,)`` gets beta, its standard deviation and the NIS."""
     if kinematic_start(state, sample, car, noise, dt, out):
         return
-    share = straight_share(sample[YAW_RATE], noise.turning)
-    if share > 0.0 and inertial_known(sample[AX], sample[AY], sample[YAW_RATE]):
+    share = straight_share(sample[at.YAW_RATE], noise.turning)
+    if share > 0.0 and inertial_known(sample[at.AX], sample[at.AY], sample[at.YAW_RATE]):
         blend_predict(state, sample, share, car, noise, dt)
     else:
-        kinematic_predict(state, sample[AX], sample[AY], sample[YAW_RATE], 1.0, 0.0, noise, dt)
-    out[NIS], _ = kinematic_update(state, sample, noise)
-    blind_update(state, sample[YAW_RATE], dt)
+        kinematic_predict(state, sample[at.AX], sample[at.AY], sample[at.YAW_RATE], 1.0, 0.0, noise, dt)
+    out[at.NIS], _ = kinematic_update(state, sample, noise)
+    blind_update(state, sample[at.YAW_RATE], dt)
     limit_slip(state.mean)
     limit_biases(state.mean, noise)
     velocity_answer(state, out)

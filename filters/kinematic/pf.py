@@ -15,21 +15,10 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 from numba import njit
 
+from crosscomb.filters import columns as at
 from crosscomb.filters.algebra.particles import LEAST_STD, RESAMPLE_BELOW, cloud, draw_uniform, normalise
 from crosscomb.filters.algebra.resampling import RESAMPLING, resample
-from crosscomb.filters.base import (
-    AX,
-    AY,
-    BETA,
-    BETA_STD,
-    NIS,
-    VX,
-    VX_HELD,
-    YAW_RATE,
-    KernelFilter,
-    below_gate,
-    low_speed_answer,
-)  # fmt: skip
+from crosscomb.filters.base import KernelFilter, below_gate, low_speed_answer
 from crosscomb.filters.kinematic.kf import (
     BIAS_AX,
     BIAS_AY,
@@ -105,10 +94,10 @@ def weigh_velocities(state, sample, car, noise, dt):
         vx += weights[i] * x[0, i]
         bias_ay += weights[i] * x[BIAS_AY, i]
     h, rest, variance = rolling_measurement(sample, vx, bias_ay, car, noise, dt)
-    of_speed = 0.5 / noise.speed**2 if sample[VX_HELD] == 0.0 else 0.0
+    of_speed = 0.5 / noise.speed**2 if sample[at.VX_HELD] == 0.0 else 0.0
     of_rear = 0.5 / variance
     for i in range(weights.size):
-        state.log_weights[i] -= of_speed * (sample[VX] - x[0, i]) ** 2
+        state.log_weights[i] -= of_speed * (sample[at.VX] - x[0, i]) ** 2
         state.log_weights[i] -= of_rear * (rest - h * x[0, i] - x[1, i]) ** 2
 
 
@@ -136,14 +125,14 @@ def kinematic_particle_step(state, sample, car, noise, dt, out):
         drift_particles(state, noise, dt)
         state.running[0] = 0 if below_gate(sample) else 1
         if state.running[0] == 1:
-            first_velocities(state, sample[VX], out[BETA], out[BETA_STD], noise)
+            first_velocities(state, sample[at.VX], out[at.BETA], out[at.BETA_STD], noise)
         return
-    move_velocities(state, sample[AX], sample[AY], sample[YAW_RATE], noise, dt)
+    move_velocities(state, sample[at.AX], sample[at.AY], sample[at.YAW_RATE], noise, dt)
     drift_particles(state, noise, dt)
     weigh_velocities(state, sample, car, noise, dt)
     effective = normalise(state.log_weights, state.weights)
-    out[BETA], out[BETA_STD] = weighted_slip(state)
-    out[NIS] = math.nan
+    out[at.BETA], out[at.BETA_STD] = weighted_slip(state)
+    out[at.NIS] = math.nan
     if effective < RESAMPLE_BELOW * state.weights.size:
         resample(state)
 

@@ -27,8 +27,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from crosscomb.filters import columns as at
 from crosscomb.filters.algebra.dense import copy_into, guarded_cholesky, solve_lower, triangular_factor
-from crosscomb.filters.base import BETA, BETA_STD, NIS, SAMPLE_WIDTH, below_gate, low_speed_answer
+from crosscomb.filters.base import below_gate, low_speed_answer
 from crosscomb.filters.planar.shared import (
     MEASUREMENTS,
     PlanarFilter,
@@ -199,7 +200,7 @@ def cubature_step(state, sample, car, noise, dt, out):
     if begin(state.mean, state.cov, state.running, sample, car, noise, out):
         guarded_cholesky(state.cov, 3, state.root)
         return
-    out[NIS] = cubature_advance(state, sample, car, noise, dt)
+    out[at.NIS] = cubature_advance(state, sample, car, noise, dt)
     cubature_answer(state, out)
 
 
@@ -233,7 +234,7 @@ class HorizonState(NamedTuple):
 
 def horizon_state(horizon: float) -> HorizonState:
     """Make an unstarted receding-horizon filter with its horizon [s]."""
-    window, place = np.zeros((MAX_WINDOW, SAMPLE_WIDTH)), np.zeros(2, dtype=np.int64)
+    window, place = np.zeros((MAX_WINDOW, at.SAMPLE_WIDTH)), np.zeros(2, dtype=np.int64)
     return HorizonState(cubature_state(), window, place, np.array([horizon]))
 
 
@@ -253,10 +254,10 @@ def horizon_step(state, sample, car, noise, dt, out):
         return
     first = (place[1] - place[0]) % length
     low_speed_answer(window[first], car, out)
-    start(inner.mean, inner.cov, window[first], out[BETA], HORIZON_PRIOR, noise)
+    start(inner.mean, inner.cov, window[first], out[at.BETA], HORIZON_PRIOR, noise)
     guarded_cholesky(inner.cov, 3, inner.root)
     for i in range(1, place[0]):
-        out[NIS] = cubature_advance(inner, window[(first + i) % length], car, noise, dt)
+        out[at.NIS] = cubature_advance(inner, window[(first + i) % length], car, noise, dt)
     cubature_answer(inner, out)
 
 
@@ -299,19 +300,19 @@ def hybrid_step(state, sample, car, noise, dt, out):
     horizon_step(state.receding, sample, car, noise, dt, answers[1])
     if below_gate(sample):
         weights[0] = weights[1] = 0.5
-    elif math.isfinite(answers[0, NIS]):
+    elif math.isfinite(answers[0, at.NIS]):
         fade = math.exp(-dt / state.memory[0])
         gap = fade * math.log(weights[1] / weights[0])
         gap += state.receding.filter.log_likelihood[0] - state.plain.log_likelihood[0]
         weights[1] = 1.0 / (1.0 + math.exp(min(max(-gap, -50.0), 50.0)))
         weights[1] = min(max(weights[1], LEAST_WEIGHT), 1.0 - LEAST_WEIGHT)
         weights[0] = 1.0 - weights[1]
-    beta = weights[0] * answers[0, BETA] + weights[1] * answers[1, BETA]
+    beta = weights[0] * answers[0, at.BETA] + weights[1] * answers[1, at.BETA]
     variance = 0.0
     for i in range(2):
-        variance += weights[i] * (answers[i, BETA_STD] ** 2 + (answers[i, BETA] - beta) ** 2)
-    out[BETA], out[BETA_STD] = beta, math.sqrt(variance)
-    out[NIS] = weights[0] * answers[0, NIS] + weights[1] * answers[1, NIS]
+        variance += weights[i] * (answers[i, at.BETA_STD] ** 2 + (answers[i, at.BETA] - beta) ** 2)
+    out[at.BETA], out[at.BETA_STD] = beta, math.sqrt(variance)
+    out[at.NIS] = weights[0] * answers[0, at.NIS] + weights[1] * answers[1, at.NIS]
 
 
 @kernel

@@ -23,8 +23,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from crosscomb.filters import columns as at
 from crosscomb.filters.algebra.dense import joseph_update_3, propagate_3
-from crosscomb.filters.base import NIS
 from crosscomb.filters.planar.shared import (
     Z_AX,
     Z_AY,
@@ -156,7 +156,7 @@ def planar_ekf_step(state, sample, car, noise, dt, out):
         return
     set_sample(state.contact, sample, car)
     ekf_predict(state.mean, state.cov, state.contact, state.jacobian, state.q, sample, car, noise, dt)
-    out[NIS] = ekf_update(state, sample, car, noise)
+    out[at.NIS] = ekf_update(state, sample, car, noise)
     answer(state.mean, state.cov, out)
 
 

@@ -19,8 +19,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from crosscomb.filters import columns as at
 from crosscomb.filters.algebra.dense import joseph_update_3, propagate_3
-from crosscomb.filters.base import NIS
 from crosscomb.filters.planar.ekf import PlanarEKFState, ekf_state, update_linear
 from crosscomb.filters.planar.shared import (
     Z_AX,
@@ -148,7 +148,7 @@ def second_order_step(state, sample, car, noise, dt, out):
         return
     set_sample(ekf.contact, sample, car)
     second_order_predict(state, sample, car, noise, dt)
-    out[NIS] = second_order_update(state, sample, car, noise)
+    out[at.NIS] = second_order_update(state, sample, car, noise)
     answer(ekf.mean, ekf.cov, out)
 
 

@@ -16,25 +16,8 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import ClassVar, NamedTuple
 
-from crosscomb.filters.base import (
-    AX,
-    AY,
-    BETA,
-    BETA_STD,
-    FXF,
-    FXR,
-    MAX_BETA,
-    STEER,
-    STEER_HELD,
-    STEER_REAR,
-    VFL,
-    VX,
-    VX_HELD,
-    YAW_RATE,
-    KernelFilter,
-    below_gate,
-    low_speed_answer,
-)  # fmt: skip
+from crosscomb.filters import columns as at
+from crosscomb.filters.base import MAX_BETA, KernelFilter, below_gate, low_speed_answer
 from crosscomb.models.compiled import inlined
 from crosscomb.models.planar import TRACKS, PlanarCar, planar_car, planar_rates, set_contacts
 from crosscomb.models.single_track import stable_substeps
@@ -84,8 +67,8 @@ class PlanarFilter(KernelFilter):
 @inlined
 def known_accelerations(sample):
     """Measured ax and ay [m/s^2], 0 where missing."""
-    ax = sample[AX] if math.isfinite(sample[AX]) else 0.0
-    ay = sample[AY] if math.isfinite(sample[AY]) else 0.0
+    ax = sample[at.AX] if math.isfinite(sample[at.AX]) else 0.0
+    ay = sample[at.AY] if math.isfinite(sample[at.AY]) else 0.0
     return ax, ay
 
 
@@ -93,7 +76,9 @@ def known_accelerations(sample):
 def set_sample(contact, sample, car):
     """Set the contacts (`crosscomb.models.planar.Contacts`) from a sample."""
     ax, ay = known_accelerations(sample)
-    set_contacts(contact, sample[STEER], sample[STEER_REAR], sample[FXF], sample[FXR], ax, ay, car)
+    set_contacts(
+        contact, sample[at.STEER], sample[at.STEER_REAR], sample[at.FXF], sample[at.FXR], ax, ay, car
+    )
 
 
 @inlined
@@ -135,11 +120,11 @@ def expect(state, ax, ay, contact, z):
 @inlined
 def read_measurements(sample, car, noise, z, variance):
     """Write the sample's measurements into z ``(6,)``, NaN for a missing one, and their noise variances."""
-    z[Z_LEFT], z[Z_RIGHT] = sample[VFL], sample[VFL + 1]
-    z[Z_YAW_RATE], z[Z_AX], z[Z_AY], z[Z_U] = sample[YAW_RATE], sample[AX], sample[AY], math.nan
-    if sample[VX_HELD] == 0.0 and not (math.isfinite(z[Z_LEFT]) or math.isfinite(z[Z_RIGHT])):
-        z[Z_U] = sample[VX]
-    wrong_ay = noise.missing_steer * sample[STEER_HELD] * car.stiffness_front / car.mass
+    z[Z_LEFT], z[Z_RIGHT] = sample[at.VFL], sample[at.VFL + 1]
+    z[Z_YAW_RATE], z[Z_AX], z[Z_AY], z[Z_U] = sample[at.YAW_RATE], sample[at.AX], sample[at.AY], math.nan
+    if sample[at.VX_HELD] == 0.0 and not (math.isfinite(z[Z_LEFT]) or math.isfinite(z[Z_RIGHT])):
+        z[Z_U] = sample[at.VX]
+    wrong_ay = noise.missing_steer * sample[at.STEER_HELD] * car.stiffness_front / car.mass
     variance[Z_LEFT] = variance[Z_RIGHT] = noise.wheel_speed**2
     variance[Z_YAW_RATE] = noise.yaw_rate**2
     variance[Z_AX] = noise.ax**2
@@ -154,7 +139,7 @@ def set_process_noise(q, sample, car, noise, dt):
     The error of a held steering angle acts through the front tyres. It lasts about a second, so as white
     noise its density is its size.
     """
-    wrong_force = noise.missing_steer * sample[STEER_HELD] * car.stiffness_front
+    wrong_force = noise.missing_steer * sample[at.STEER_HELD] * car.stiffness_front
     wrong_v, wrong_r = wrong_force / car.mass, wrong_force * car.a / car.yaw_inertia
     q[:] = 0.0
     q[0, 0] = noise.u_rate**2 * dt
@@ -172,7 +157,7 @@ def begin(mean, cov, running, sample, car, noise, out):
         return True
     if running[0] == 0:
         low_speed_answer(sample, car, out)
-        start(mean, cov, sample, out[BETA], out[BETA_STD], noise)
+        start(mean, cov, sample, out[at.BETA], out[at.BETA_STD], noise)
         running[0] = 1
         return True
     return False
@@ -181,17 +166,17 @@ def begin(mean, cov, running, sample, car, noise, out):
 @inlined
 def start(mean, cov, sample, beta, beta_std, noise):
     """Set mean and covariance from one sample and a sideslip angle [rad] with its standard deviation."""
-    mean[0], mean[1] = sample[VX], sample[VX] * math.tan(beta)
-    mean[2] = sample[YAW_RATE] if math.isfinite(sample[YAW_RATE]) else 0.0
+    mean[0], mean[1] = sample[at.VX], sample[at.VX] * math.tan(beta)
+    mean[2] = sample[at.YAW_RATE] if math.isfinite(sample[at.YAW_RATE]) else 0.0
     cov[:] = 0.0
-    cov[0, 0], cov[1, 1], cov[2, 2] = noise.speed**2, (sample[VX] * beta_std) ** 2, noise.yaw_rate**2
+    cov[0, 0], cov[1, 1], cov[2, 2] = noise.speed**2, (sample[at.VX] * beta_std) ** 2, noise.yaw_rate**2
 
 
 @inlined
 def answer(mean, cov, out):
     """Write the sideslip angle of a state and its standard deviation."""
     u, v = mean[0], mean[1]
-    out[BETA] = math.atan2(v, u)
+    out[at.BETA] = math.atan2(v, u)
     # beta = atan2(v, u): its gradient is [-v, u] / V^2
     spread = v * v * cov[0, 0] - 2.0 * u * v * cov[0, 1] + u * u * cov[1, 1]
-    out[BETA_STD] = math.sqrt(max(spread, 0.0)) / (u * u + v * v)
+    out[at.BETA_STD] = math.sqrt(max(spread, 0.0)) / (u * u + v * v)

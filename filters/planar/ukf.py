@@ -23,8 +23,8 @@ from typing import NamedTuple
 import numpy as np
 
 from crosscomb.errors import UsageError
+from crosscomb.filters import columns as at
 from crosscomb.filters.algebra.dense import guarded_cholesky, joint_update
-from crosscomb.filters.base import NIS
 from crosscomb.filters.planar.shared import (
     MEASUREMENTS,
     PlanarFilter,
@@ -198,7 +198,7 @@ def sigma_point_step(state, sample, car, noise, dt, out):
     for p in range(points.shape[0]):
         _, _, _, ax, ay = planar_rates(points[p, 0], points[p, 1], points[p, 2], contact, car)
         expect(points[p], ax, ay, contact, images[p])
-    out[NIS] = update_by_points(
+    out[at.NIS] = update_by_points(
         mean, cov, points, images, state.sigma, z, state.s, state.cross, state.innovation, state.factor
     )
     clip_state(mean)

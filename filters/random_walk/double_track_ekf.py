@@ -20,25 +20,9 @@ from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
+from crosscomb.filters import columns as at
 from crosscomb.filters.algebra.leading import consider_update, propagate_leading
-from crosscomb.filters.base import (
-    AX,
-    AY,
-    BETA,
-    BETA_STD,
-    FXF,
-    FXR,
-    MAX_BETA,
-    NIS,
-    STEER,
-    STEER_REAR,
-    VX,
-    VX_HELD,
-    YAW_RATE,
-    KernelFilter,
-    below_gate,
-    low_speed_answer,
-)  # fmt: skip
+from crosscomb.filters.base import MAX_BETA, KernelFilter, below_gate, low_speed_answer
 from crosscomb.filters.random_walk.ekf import (
     FORCE_EXTRAS,
     FREE,
@@ -127,9 +111,9 @@ def double_walk_start(state, sample, beta, beta_std, car, noise):
     """Start from the rolling answer without lateral forces."""
     mean, cov = state.mean, state.cov
     mean[:] = 0.0
-    mean[0] = max(sample[VX], MIN_SPEED)
+    mean[0] = max(sample[at.VX], MIN_SPEED)
     mean[1] = mean[0] * math.tan(beta)
-    mean[2] = sample[YAW_RATE] if math.isfinite(sample[YAW_RATE]) else 0.0
+    mean[2] = sample[at.YAW_RATE] if math.isfinite(sample[at.YAW_RATE]) else 0.0
     cov[:] = 0.0
     cov[0, 0], cov[1, 1], cov[2, 2] = noise.speed**2, (mean[0] * beta_std) ** 2, noise.yaw_rate**2
     share_axle_noise(cov, state.contact.wheels, car.planar.mass**2)
@@ -195,21 +179,21 @@ def double_walk_update(state, sample, car, noise, dt):
     """Update with the measurements that are there, then with the soft ties; give the NIS of the former."""
     mean, row, wheels = state.mean, state.vectors[0], state.contact.wheels
     nis = math.nan
-    if sample[VX_HELD] == 0.0:
+    if sample[at.VX_HELD] == 0.0:
         row[:] = 0.0
         row[0] = 1.0
-        nis = double_walk_measure(state, sample[VX] - mean[0], noise.speed**2)
-    if math.isfinite(sample[YAW_RATE]):
+        nis = double_walk_measure(state, sample[at.VX] - mean[0], noise.speed**2)
+    if math.isfinite(sample[at.YAW_RATE]):
         row[:] = 0.0
         row[2] = 1.0
-        part = double_walk_measure(state, sample[YAW_RATE] - mean[2], noise.yaw_rate**2)
+        part = double_walk_measure(state, sample[at.YAW_RATE] - mean[2], noise.yaw_rate**2)
         nis = part if math.isnan(nis) else nis + part
-    if car.measured == U_R_AY and math.isfinite(sample[AY]):
+    if car.measured == U_R_AY and math.isfinite(sample[at.AY]):
         row[:] = 0.0
         for i in range(4):
             row[3 + i] = wheels[i, COS] / car.planar.mass
         _, y, _ = double_walk_forces(mean, state.contact)
-        part = double_walk_measure(state, sample[AY] - y / car.planar.mass, noise.ay**2)
+        part = double_walk_measure(state, sample[at.AY] - y / car.planar.mass, noise.ay**2)
         nis = part if math.isnan(nis) else nis + part
     if car.yaw_moment == ZERO:
         row[:] = 0.0
@@ -233,36 +217,43 @@ def tie_velocity(state, sample, car, noise, dt):
     row[1] = 1.0 / u
     if car.slip_source == GEOMETRIC:
         row[0] = -v / (u * u)
-        rolling = slip_of_rolling_rear(sample[STEER], sample[STEER_REAR], track.a, track.b)
+        rolling = slip_of_rolling_rear(sample[at.STEER], sample[at.STEER_REAR], track.a, track.b)
         double_walk_measure(state, math.tan(rolling) - v / u, noise.slip**2 / dt)
         return
     slip = (mean[5] + mean[6]) / track.stiffness_rear
     doubt = noise.slip + abs(slip) * friction_use(r, u, track)
     row[0], row[2] = (track.b * r - v) / (u * u), -track.b / u
     row[5] = row[6] = 1.0 / track.stiffness_rear
-    double_walk_measure(state, sample[STEER_REAR] - slip + (track.b * r - v) / u, doubt**2 / dt)
+    double_walk_measure(state, sample[at.STEER_REAR] - slip + (track.b * r - v) / u, doubt**2 / dt)
 
 
 @inlined
 def double_walk_step(state, sample, car, noise, dt, out):
     """One sample; `out` ``(6,)`` gets beta, its standard deviation, the NIS and the further outputs."""
     mean, cov = state.mean, state.cov
-    ax = sample[AX] if math.isfinite(sample[AX]) else 0.0
-    ay = sample[AY] if math.isfinite(sample[AY]) else 0.0
+    ax = sample[at.AX] if math.isfinite(sample[at.AX]) else 0.0
+    ay = sample[at.AY] if math.isfinite(sample[at.AY]) else 0.0
     set_contacts(
-        state.contact, sample[STEER], sample[STEER_REAR], sample[FXF], sample[FXR], ax, ay, car.planar
+        state.contact,
+        sample[at.STEER],
+        sample[at.STEER_REAR],
+        sample[at.FXF],
+        sample[at.FXR],
+        ax,
+        ay,
+        car.planar,
     )
     if below_gate(sample) or state.running[0] == 0:
         low_speed_answer(sample, car.track, out)
-        double_walk_start(state, sample, out[BETA], out[BETA_STD], car, noise)
+        double_walk_start(state, sample, out[at.BETA], out[at.BETA_STD], car, noise)
         state.running[0] = 0 if below_gate(sample) else 1
     else:
         double_walk_predict(state, car, noise, dt)
-        out[NIS] = double_walk_update(state, sample, car, noise, dt)
+        out[at.NIS] = double_walk_update(state, sample, car, noise, dt)
         u, v = mean[0], mean[1]
-        out[BETA] = math.atan2(v, u)
+        out[at.BETA] = math.atan2(v, u)
         spread = v * v * cov[0, 0] - 2.0 * u * v * cov[0, 1] + u * u * cov[1, 1]
-        out[BETA_STD] = math.sqrt(spread) / (u * u + v * v)
+        out[at.BETA_STD] = math.sqrt(spread) / (u * u + v * v)
     _, y, moment = double_walk_forces(mean, state.contact)
     out[LATERAL_FORCE], out[YAW_MOMENT] = y, moment
     out[FRICTION_USE] = friction_use(mean[2], mean[0], car.track)

@@ -19,25 +19,10 @@ from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
+from crosscomb.filters import columns as at
 from crosscomb.filters.algebra.dense import copy_into
 from crosscomb.filters.algebra.leading import consider_update, propagate_leading
-from crosscomb.filters.base import (
-    AX,
-    AY,
-    BETA,
-    BETA_STD,
-    FXF,
-    FXR,
-    MAX_BETA,
-    NIS,
-    STEER,
-    STEER_REAR,
-    VX,
-    YAW_RATE,
-    KernelFilter,
-    below_gate,
-    low_speed_answer,
-)  # fmt: skip
+from crosscomb.filters.base import MAX_BETA, KernelFilter, below_gate, low_speed_answer
 from crosscomb.models.compiled import inlined, kernel
 from crosscomb.models.kinematic import slip_of_rolling_rear
 from crosscomb.models.random_walk import random_walk_jacobian
@@ -95,10 +80,10 @@ class WalkState(NamedTuple):
 def walk_start(state, sample, beta, beta_std, car, noise):
     """Start from the rolling answer, with the forces that the accelerations ask for."""
     mean, cov, track = state.mean, state.cov, car.track
-    ay = sample[AY] if math.isfinite(sample[AY]) else 0.0
-    mean[0] = sample[YAW_RATE] if math.isfinite(sample[YAW_RATE]) else 0.0
+    ay = sample[at.AY] if math.isfinite(sample[at.AY]) else 0.0
+    mean[0] = sample[at.YAW_RATE] if math.isfinite(sample[at.YAW_RATE]) else 0.0
     mean[1] = beta
-    mean[2], mean[3] = sample[FXF], sample[FXR]
+    mean[2], mean[3] = sample[at.FXF], sample[at.FXR]
     share = track.b / (track.a + track.b)
     mean[4], mean[5] = share * track.mass * ay, (1.0 - share) * track.mass * ay
     cov[:] = 0.0
@@ -106,14 +91,14 @@ def walk_start(state, sample, beta, beta_std, car, noise):
     for i in range(2, 6):
         cov[i, i] = track.mass**2
     # Its rows of yaw acceleration, ax and ay do not depend on the speed, which may be 0 here.
-    random_walk_jacobian(mean, 1.0, sample[STEER], sample[STEER_REAR], track, state.jacobian)
+    random_walk_jacobian(mean, 1.0, sample[at.STEER], sample[at.STEER_REAR], track, state.jacobian)
 
 
 @inlined
 def walk_predict(state, sample, car, noise, dt):
     """Predict yaw rate and beta over dt in one Euler step: without tyres nothing is stiff."""
     mean, cov, jacobian, rows = state.mean, state.cov, state.jacobian, state.rows
-    vx, steer, steer_rear = sample[VX], sample[STEER], sample[STEER_REAR]
+    vx, steer, steer_rear = sample[at.VX], sample[at.STEER], sample[at.STEER_REAR]
     yaw_acceleration, beta_rate, _, _ = random_walk_jacobian(mean, vx, steer, steer_rear, car.track, jacobian)
     for i in range(2):
         for j in range(6):
@@ -154,19 +139,19 @@ def walk_update(state, sample, car, noise, dt):
     """Update with the measurements that are there, then with the soft ties; give the NIS of the former."""
     row, jacobian, mass = state.vectors[0], state.jacobian, car.track.mass
     nis = math.nan
-    if math.isfinite(sample[YAW_RATE]):
+    if math.isfinite(sample[at.YAW_RATE]):
         row[:] = 0.0
         row[0] = 1.0
-        nis = walk_measure(state, sample[YAW_RATE], noise.yaw_rate**2)
+        nis = walk_measure(state, sample[at.YAW_RATE], noise.yaw_rate**2)
     # ax and ay are linear in the forces, so their rows do not depend on the estimate.
-    for measured, i in ((sample[AX], 2), (sample[AY], 3)):
+    for measured, i in ((sample[at.AX], 2), (sample[at.AY], 3)):
         if math.isfinite(measured):
             copy_into(row, jacobian[i])
             part = walk_measure(state, measured, noise.accel**2)
             nis = part if math.isnan(nis) else nis + part
     row[:] = 0.0
     row[2], row[3] = 1.0, -1.0
-    walk_measure(state, sample[FXF] - sample[FXR], (noise.split * mass) ** 2)
+    walk_measure(state, sample[at.FXF] - sample[at.FXR], (noise.split * mass) ** 2)
     tie_slip(state, sample, car, noise, dt)
     walk_bounds(state.mean, car)
     return nis
@@ -181,12 +166,12 @@ def tie_slip(state, sample, car, noise, dt):
     row[:] = 0.0
     row[1] = 1.0
     if car.slip_source == GEOMETRIC:
-        rolling = slip_of_rolling_rear(sample[STEER], sample[STEER_REAR], track.a, track.b)
+        rolling = slip_of_rolling_rear(sample[at.STEER], sample[at.STEER_REAR], track.a, track.b)
         walk_measure(state, rolling, noise.slip**2 / dt)
         return
-    doubt = noise.slip + abs(mean[5]) / track.stiffness_rear * friction_use(mean[0], sample[VX], track)
-    row[0], row[5] = -track.b / sample[VX], 1.0 / track.stiffness_rear
-    walk_measure(state, sample[STEER_REAR], doubt**2 / dt)
+    doubt = noise.slip + abs(mean[5]) / track.stiffness_rear * friction_use(mean[0], sample[at.VX], track)
+    row[0], row[5] = -track.b / sample[at.VX], 1.0 / track.stiffness_rear
+    walk_measure(state, sample[at.STEER_REAR], doubt**2 / dt)
 
 
 @inlined
@@ -201,20 +186,20 @@ def walk_step(state, sample, car, noise, dt, out):
     mean, cov, track = state.mean, state.cov, car.track
     if below_gate(sample) or state.running[0] == 0:
         low_speed_answer(sample, track, out)
-        walk_start(state, sample, out[BETA], out[BETA_STD], car, noise)
+        walk_start(state, sample, out[at.BETA], out[at.BETA_STD], car, noise)
         state.running[0] = 0 if below_gate(sample) else 1
     else:
         walk_predict(state, sample, car, noise, dt)
-        out[NIS] = walk_update(state, sample, car, noise, dt)
-        out[BETA] = mean[1]
-        out[BETA_STD] = math.sqrt(cov[1, 1])
+        out[at.NIS] = walk_update(state, sample, car, noise, dt)
+        out[at.BETA] = mean[1]
+        out[at.BETA_STD] = math.sqrt(cov[1, 1])
     yaw_acceleration, ay = 0.0, 0.0
     for j in range(2, 6):
         yaw_acceleration += state.jacobian[0, j] * mean[j]
         ay += state.jacobian[3, j] * mean[j]
     out[LATERAL_FORCE] = track.mass * ay
     out[YAW_MOMENT] = track.yaw_inertia * yaw_acceleration
-    out[FRICTION_USE] = friction_use(mean[0], max(sample[VX], 0.0), track)
+    out[FRICTION_USE] = friction_use(mean[0], max(sample[at.VX], 0.0), track)
 
 
 @kernel

@@ -15,6 +15,7 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 from numba import njit
 
+from crosscomb.filters import columns as at
 from crosscomb.filters.algebra.particles import (
     RESAMPLE_BELOW,
     cloud,
@@ -25,25 +26,14 @@ from crosscomb.filters.algebra.particles import (
 )
 from crosscomb.filters.algebra.resampling import RESAMPLING, resample
 from crosscomb.filters.base import (
-    AX,
-    AY,
-    BETA,
-    BETA_STD,
-    FXF,
-    FXR,
     LOG_2_PI,
     MAX_BETA,
-    NIS,
-    STEER,
-    STEER_REAR,
-    VX,
-    YAW_RATE,
     Gaussian,
     KernelFilter,
     below_gate,
     gaussian,
     low_speed_answer,
-)  # fmt: skip
+)
 from crosscomb.filters.single_track.ekf import DynamicNoise, dynamic_step
 from crosscomb.models.compiled import kernel
 from crosscomb.models.single_track import body_rates
@@ -103,10 +93,10 @@ def sin_cos(angle):
 @kernel
 def first_guess(sample, beta, car):
     """State that beta and a sample's yaw rate, ay and longitudinal forces suggest."""
-    yaw_rate = sample[YAW_RATE] if math.isfinite(sample[YAW_RATE]) else 0.0
-    side = car.mass * sample[AY] if math.isfinite(sample[AY]) else 0.0
+    yaw_rate = sample[at.YAW_RATE] if math.isfinite(sample[at.YAW_RATE]) else 0.0
+    side = car.mass * sample[at.AY] if math.isfinite(sample[at.AY]) else 0.0
     front = car.b / (car.a + car.b)
-    return yaw_rate, beta, sample[FXF], sample[FXR], front * side, (1.0 - front) * side
+    return yaw_rate, beta, sample[at.FXF], sample[at.FXR], front * side, (1.0 - front) * side
 
 
 @kernel
@@ -136,19 +126,19 @@ def move_and_weigh(particles, sample, beta_ekf, std_ekf, car, noise, dt):
     """Predict every particle over dt and add its log likelihood to its log weight."""
     x, log_weights, draws = particles.x, particles.log_weights, particles.scratch
     draw_uniform(particles.rng, draws)
-    vx = sample[VX]
-    cos_f, sin_f = math.cos(sample[STEER]), math.sin(sample[STEER])
-    cos_r, sin_r = math.cos(sample[STEER_REAR]), math.sin(sample[STEER_REAR])
+    vx = sample[at.VX]
+    cos_f, sin_f = math.cos(sample[at.STEER]), math.sin(sample[at.STEER])
+    cos_r, sin_r = math.cos(sample[at.STEER_REAR]), math.sin(sample[at.STEER_REAR])
     root = math.sqrt(dt)
     force, yaw, slip = root * noise.force * car.mass, root * noise.yaw_acceleration, root * noise.slip_rate
     # A missing measurement gets no say: its precision is zero.
-    p_yaw = 0.5 / noise.yaw_rate**2 if math.isfinite(sample[YAW_RATE]) else 0.0
-    p_ax = 0.5 / noise.accel**2 if math.isfinite(sample[AX]) else 0.0
-    p_ay = 0.5 / noise.accel**2 if math.isfinite(sample[AY]) else 0.0
+    p_yaw = 0.5 / noise.yaw_rate**2 if math.isfinite(sample[at.YAW_RATE]) else 0.0
+    p_ax = 0.5 / noise.accel**2 if math.isfinite(sample[at.AX]) else 0.0
+    p_ay = 0.5 / noise.accel**2 if math.isfinite(sample[at.AY]) else 0.0
     p_beta = slip_precision(std_ekf, noise, dt)
-    z_yaw = sample[YAW_RATE] if p_yaw > 0.0 else 0.0
-    z_ax = sample[AX] if p_ax > 0.0 else 0.0
-    z_ay = sample[AY] if p_ay > 0.0 else 0.0
+    z_yaw = sample[at.YAW_RATE] if p_yaw > 0.0 else 0.0
+    z_ax = sample[at.AX] if p_ax > 0.0 else 0.0
+    z_ay = sample[at.AY] if p_ay > 0.0 else 0.0
     for i in range(x.shape[1]):
         fxf, fxr = x[2, i] + force * draws[2, i], x[3, i] + force * draws[3, i]
         fyf, fyr = x[4, i] + force * draws[4, i], x[5, i] + force * draws[5, i]
@@ -172,9 +162,9 @@ def move_and_weigh(particles, sample, beta_ekf, std_ekf, car, noise, dt):
 def log_scale(sample, noise):
     """Log of what the densities of the measurements that are there are divided by."""
     total = 0.0
-    if math.isfinite(sample[YAW_RATE]):
+    if math.isfinite(sample[at.YAW_RATE]):
         total += 0.5 * LOG_2_PI + math.log(noise.yaw_rate)
-    for column in (AX, AY):
+    for column in (at.AX, at.AY):
         if math.isfinite(sample[column]):
             total += 0.5 * LOG_2_PI + math.log(noise.accel)
     return total
@@ -184,7 +174,7 @@ def log_scale(sample, noise):
 def particle_answer(particles, sample, car, noise, dt, out):
     """One sample of the particle filter without resampling; give the effective sample size, inf at low speed."""
     dynamic_step(particles.ekf, sample, car, noise.ekf, dt, particles.ekf_out)
-    beta_ekf, std_ekf = particles.ekf_out[BETA], particles.ekf_out[BETA_STD]
+    beta_ekf, std_ekf = particles.ekf_out[at.BETA], particles.ekf_out[at.BETA_STD]
     if below_gate(sample):
         low_speed_answer(sample, car, out)
         particles.running[0] = 0
@@ -200,8 +190,8 @@ def particle_answer(particles, sample, car, noise, dt, out):
     if particles.evidence.size > 0:
         particles.evidence[0] += log_sum(particles.log_weights) - log_scale(sample, noise)
     effective = normalise(particles.log_weights, particles.weights)
-    out[BETA], out[BETA_STD] = weighted_beta(particles)
-    out[NIS] = math.nan
+    out[at.BETA], out[at.BETA_STD] = weighted_beta(particles)
+    out[at.NIS] = math.nan
     return effective
 
 

@@ -25,26 +25,11 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 from numba import njit
 
+from crosscomb.filters import columns as at
 from crosscomb.filters.algebra.dense import joseph_update
 from crosscomb.filters.algebra.particles import RESAMPLE_BELOW, cloud, normalise, weighted_beta
 from crosscomb.filters.algebra.resampling import RESAMPLING, resample
-from crosscomb.filters.base import (
-    AX,
-    AY,
-    BETA,
-    BETA_STD,
-    MAX_BETA,
-    NIS,
-    STEER,
-    STEER_REAR,
-    VX,
-    YAW_RATE,
-    Gaussian,
-    KernelFilter,
-    below_gate,
-    gaussian,
-    low_speed_answer,
-)  # fmt: skip
+from crosscomb.filters.base import MAX_BETA, Gaussian, KernelFilter, below_gate, gaussian, low_speed_answer
 from crosscomb.filters.random_walk.pf import FIRST_SPREAD, ParticleNoise, first_guess, sin_cos, slip_precision
 from crosscomb.filters.single_track.ekf import dynamic_step
 from crosscomb.models.compiled import kernel
@@ -114,7 +99,7 @@ def share_prediction(state, sample, car, noise, dt):
     for row in range(2, 6):
         full = cov[row, row] / (MAX_FORCE_STD * car.mass) ** 2
         cov[row, row] += dt * (noise.force * car.mass) ** 2 * max(1.0 - full, 0.0)
-    random_walk_jacobian(mean, sample[VX], sample[STEER], sample[STEER_REAR], car, slopes)
+    random_walk_jacobian(mean, sample[at.VX], sample[at.STEER], sample[at.STEER_REAR], car, slopes)
     for column in range(6):
         slopes[1, column] *= dt
     learn(state, BY_BETA, slopes[1], dt * noise.slip_rate**2)
@@ -166,9 +151,9 @@ def share_update(state, sample, noise, dt):
         mean[0] += dt * slopes[0, column] * mean[column]
     slopes[0, :] = 0.0  # from here on the row of the measured yaw rate
     slopes[0, 0] = 1.0
-    nis = measure(state, BY_YAW, slopes[0], sample[YAW_RATE], noise.yaw_rate)
-    nis += measure(state, BY_AX, slopes[2], sample[AX], noise.accel)
-    nis += measure(state, BY_AY, slopes[3], sample[AY], noise.accel)
+    nis = measure(state, BY_YAW, slopes[0], sample[at.YAW_RATE], noise.yaw_rate)
+    nis += measure(state, BY_AX, slopes[2], sample[at.AX], noise.accel)
+    nis += measure(state, BY_AY, slopes[3], sample[at.AY], noise.accel)
     used = state.precisions[BY_YAW] + state.precisions[BY_AX] + state.precisions[BY_AY]
     return nis if used > 0.0 else math.nan
 
@@ -196,16 +181,16 @@ def draw_and_weigh(state, sample, beta_ekf, std_ekf, car, noise, dt):
     spread = 1.0 / math.sqrt(state.precisions[BY_BETA])
     for i in range(draws.size):
         draws[i] = spread * state.rng.standard_normal()
-    vx = sample[VX]
-    cos_f, sin_f = math.cos(sample[STEER]), math.sin(sample[STEER])
-    cos_r, sin_r = math.cos(sample[STEER_REAR]), math.sin(sample[STEER_REAR])
+    vx = sample[at.VX]
+    cos_f, sin_f = math.cos(sample[at.STEER]), math.sin(sample[at.STEER])
+    cos_r, sin_r = math.cos(sample[at.STEER_REAR]), math.sin(sample[at.STEER_REAR])
     p_yaw = 0.5 * state.precisions[BY_YAW]
     p_ax = 0.5 * state.precisions[BY_AX]
     p_ay = 0.5 * state.precisions[BY_AY]
     p_beta = slip_precision(std_ekf, noise, dt)
-    z_yaw = sample[YAW_RATE] if p_yaw > 0.0 else 0.0
-    z_ax = sample[AX] if p_ax > 0.0 else 0.0
-    z_ay = sample[AY] if p_ay > 0.0 else 0.0
+    z_yaw = sample[at.YAW_RATE] if p_yaw > 0.0 else 0.0
+    z_ax = sample[at.AX] if p_ax > 0.0 else 0.0
+    z_ay = sample[at.AY] if p_ay > 0.0 else 0.0
     for i in range(draws.size):
         drawn = draws[i]
         fxf, fxr, fyf, fyr = x[2, i], x[3, i], x[4, i], x[5, i]
@@ -247,7 +232,7 @@ def take_means(state):
 def blackwell_step(state, sample, car, noise, dt, out):
     """One sample; `out` ``(5,)`` gets beta, its standard deviation, the NIS and the lateral axle forces."""
     dynamic_step(state.ekf, sample, car, noise.ekf, dt, state.ekf_out)
-    beta_ekf, std_ekf = state.ekf_out[BETA], state.ekf_out[BETA_STD]
+    beta_ekf, std_ekf = state.ekf_out[at.BETA], state.ekf_out[at.BETA_STD]
     if below_gate(sample) or state.running[0] == 0:
         low_speed_answer(sample, car, out)
         out[3] = out[4] = math.nan
@@ -256,11 +241,11 @@ def blackwell_step(state, sample, car, noise, dt, out):
             blackwell_start(state, sample, beta_ekf, car)
         return
     share_prediction(state, sample, car, noise, dt)
-    out[NIS] = share_update(state, sample, noise, dt)
+    out[at.NIS] = share_update(state, sample, noise, dt)
     draw_and_weigh(state, sample, beta_ekf, std_ekf, car, noise, dt)
     effective = normalise(state.log_weights, state.weights)
     take_means(state)
-    out[BETA], out[BETA_STD] = weighted_beta(state)
+    out[at.BETA], out[at.BETA_STD] = weighted_beta(state)
     out[3], out[4] = state.mean[4], state.mean[5]
     if effective < RESAMPLE_BELOW * state.weights.size:
         resample(state)

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from crosscomb.filters.base import AY, STEER_HELD, VX, YAW_RATE
+from crosscomb.filters import columns as at
 from crosscomb.models.compiled import inlined
 from crosscomb.models.parameter_track import RATIONAL, first_parameters
 from crosscomb.models.single_track import SingleTrack
@@ -51,11 +51,11 @@ def excited(sample, noise):
     The yaw rate must agree: straight ahead, vibration or a banked road alone fill ay.
     """
     return (
-        abs(sample[AY]) > noise.adapt_ay  # False for a missing one
-        and sample[YAW_RATE] * sample[AY] > 0.0
-        and abs(sample[YAW_RATE]) * sample[VX] > 0.5 * noise.adapt_ay
-        and sample[VX] > noise.adapt_speed
-        and sample[STEER_HELD] == 0.0
+        abs(sample[at.AY]) > noise.adapt_ay  # False for a missing one
+        and sample[at.YAW_RATE] * sample[at.AY] > 0.0
+        and abs(sample[at.YAW_RATE]) * sample[at.VX] > 0.5 * noise.adapt_ay
+        and sample[at.VX] > noise.adapt_speed
+        and sample[at.STEER_HELD] == 0.0
     )
 
 

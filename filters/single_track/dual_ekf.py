@@ -23,27 +23,16 @@ from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
+from crosscomb.filters import columns as at
 from crosscomb.filters.algebra.leading import consider_update
 from crosscomb.filters.base import (
-    AX,
-    AY,
-    BETA,
-    BETA_STD,
-    FXF,
-    FXR,
     MAX_BETA,
-    NIS,
-    STEER,
-    STEER_HELD,
-    STEER_REAR,
-    VX,
-    YAW_RATE,
     KernelFilter,
     below_gate,
     low_speed_answer,
     propagate,
     scalar_update,
-)  # fmt: skip
+)
 from crosscomb.filters.single_track.adaptation import Limits, TyreCar, excited, growth, parameter_limits
 from crosscomb.filters.single_track.tyre_ekf import RATTE
 from crosscomb.models.compiled import inlined, kernel
@@ -97,11 +86,11 @@ class DualState(NamedTuple):
 @inlined
 def dual_rates(state, sample, car):
     """Rates and ay at the estimate; fills `state.slopes`."""
-    ax = sample[AX] if math.isfinite(sample[AX]) else 0.0
-    ay = sample[AY] if math.isfinite(sample[AY]) else 0.0
+    ax = sample[at.AX] if math.isfinite(sample[at.AX]) else 0.0
+    ay = sample[at.AY] if math.isfinite(sample[at.AY]) else 0.0
     return parameter_track_rates(
-        state.mean[0], state.mean[1], sample[VX], sample[STEER], sample[STEER_REAR], sample[FXF], sample[FXR],
-        ax, ay, car.law, state.tyres, car.track, state.by, state.slopes,
+        state.mean[0], state.mean[1], sample[at.VX], sample[at.STEER], sample[at.STEER_REAR], sample[at.FXF],
+        sample[at.FXR], ax, ay, car.law, state.tyres, car.track, state.by, state.slopes,
     )  # fmt: skip
 
 
@@ -109,10 +98,10 @@ def dual_rates(state, sample, car):
 def dual_predict(state, sample, car, noise, dt):
     """Predict the motion and its sensitivity over dt by Euler steps."""
     mean, slopes, sensitivity = state.mean, state.slopes, state.sensitivity
-    wrong_force = noise.missing_steer * sample[STEER_HELD] * car.track.stiffness_front
+    wrong_force = noise.missing_steer * sample[at.STEER_HELD] * car.track.stiffness_front
     wrong_yaw = wrong_force * car.track.a / car.track.yaw_inertia
-    wrong_slip = wrong_force / (car.track.mass * sample[VX])
-    steps = stable_substeps(sample[VX], dt, car.track)
+    wrong_slip = wrong_force / (car.track.mass * sample[at.VX])
+    steps = stable_substeps(sample[at.VX], dt, car.track)
     h = dt / steps
     for _ in range(steps):
         beta_rate, yaw_acceleration, _ = dual_rates(state, sample, car)
@@ -178,16 +167,16 @@ def dual_update(state, sample, car, noise, adapting):
     mean, slopes, limits = state.mean, state.slopes, state.limits
     yaw_prior, beta_prior = mean[0], mean[1]
     _, _, expected = dual_rates(state, sample, car)
-    wrong_ay = noise.missing_steer * sample[STEER_HELD] * car.track.stiffness_front / car.track.mass
+    wrong_ay = noise.missing_steer * sample[at.STEER_HELD] * car.track.stiffness_front / car.track.mass
     moved = state.by.reshape(8)  # its slopes are in `slopes` now
     moved[:] = 0.0
     nis = math.nan
-    if math.isfinite(sample[YAW_RATE]):
-        innovation = sample[YAW_RATE] - yaw_prior
+    if math.isfinite(sample[at.YAW_RATE]):
+        innovation = sample[at.YAW_RATE] - yaw_prior
         nis = dual_measure(state, 1.0, 0.0, moved[4:], innovation, noise.yaw_rate**2, moved[:4], adapting)
-    if math.isfinite(sample[AY]):
+    if math.isfinite(sample[at.AY]):
         ay_r, ay_b = slopes[LATERAL, BY_YAW_RATE], slopes[LATERAL, BY_BETA]
-        innovation = sample[AY] - expected - ay_r * (mean[0] - yaw_prior) - ay_b * (mean[1] - beta_prior)
+        innovation = sample[at.AY] - expected - ay_r * (mean[0] - yaw_prior) - ay_b * (mean[1] - beta_prior)
         part = dual_measure(
             state, ay_r, ay_b, slopes[LATERAL, BY_PARAMETER:], innovation, noise.ay**2 + wrong_ay**2,
             moved[:4], adapting,
@@ -217,9 +206,9 @@ def dual_step(state, sample, car, noise, dt, out):
     mean, cov, limits = state.mean, state.cov, state.limits
     if below_gate(sample) or state.running[0] == 0:
         low_speed_answer(sample, car.track, out)
-        mean[0] = sample[YAW_RATE] if math.isfinite(sample[YAW_RATE]) else 0.0
-        mean[1] = out[BETA]
-        cov[0, 0], cov[0, 1], cov[1, 0], cov[1, 1] = noise.yaw_rate**2, 0.0, 0.0, out[BETA_STD] ** 2
+        mean[0] = sample[at.YAW_RATE] if math.isfinite(sample[at.YAW_RATE]) else 0.0
+        mean[1] = out[at.BETA]
+        cov[0, 0], cov[0, 1], cov[1, 0], cov[1, 1] = noise.yaw_rate**2, 0.0, 0.0, out[at.BETA_STD] ** 2
         state.sensitivity[:] = 0.0
         state.running[0] = 0 if below_gate(sample) else 1
     else:
@@ -228,9 +217,9 @@ def dual_step(state, sample, car, noise, dt, out):
             if adapting:
                 state.tyre_cov[i, i] += growth(state.tyre_cov[i, i], limits.walk[i], limits.spread[i], dt)
         dual_predict(state, sample, car, noise, dt)
-        out[NIS] = dual_update(state, sample, car, noise, adapting)
-        out[BETA] = mean[1]
-        out[BETA_STD] = math.sqrt(cov[1, 1] + doubt_of_tyres(state.sensitivity[1], state.tyre_cov))
+        out[at.NIS] = dual_update(state, sample, car, noise, adapting)
+        out[at.BETA] = mean[1]
+        out[at.BETA_STD] = math.sqrt(cov[1, 1] + doubt_of_tyres(state.sensitivity[1], state.tyre_cov))
     for i in range(PARAMETERS):
         out[3 + i] = state.tyres[i]
 

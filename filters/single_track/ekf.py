@@ -11,26 +11,15 @@ import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
+from crosscomb.filters import columns as at
 from crosscomb.filters.base import (
-    AX,
-    AY,
-    BETA,
-    BETA_STD,
-    FXF,
-    FXR,
     MAX_BETA,
-    NIS,
-    STEER,
-    STEER_HELD,
-    STEER_REAR,
-    VX,
-    YAW_RATE,
     KernelFilter,
     below_gate,
     low_speed_answer,
     propagate,
     scalar_update,
-)  # fmt: skip
+)
 from crosscomb.models.compiled import inlined, kernel
 from crosscomb.models.single_track import single_track_rates, stable_substeps
 
@@ -49,18 +38,27 @@ class DynamicNoise(NamedTuple):
 def dynamic_predict(state, sample, car, noise, dt):
     """Predict [yaw_rate, beta] over dt by Euler steps, as many as keep the stiff low-speed modes stable."""
     mean = state.mean
-    vx = sample[VX]
-    ax = sample[AX] if math.isfinite(sample[AX]) else 0.0
-    ay = sample[AY] if math.isfinite(sample[AY]) else 0.0
+    vx = sample[at.VX]
+    ax = sample[at.AX] if math.isfinite(sample[at.AX]) else 0.0
+    ay = sample[at.AY] if math.isfinite(sample[at.AY]) else 0.0
     # The error of a held steering angle acts through the front tyres. It lasts about a second, so as white noise
     # its density is its size.
-    wrong_force = noise.missing_steer * sample[STEER_HELD] * car.stiffness_front
+    wrong_force = noise.missing_steer * sample[at.STEER_HELD] * car.stiffness_front
     wrong_yaw, wrong_slip = wrong_force * car.a / car.yaw_inertia, wrong_force / (car.mass * vx)
     steps = stable_substeps(vx, dt, car)
     h = dt / steps
     for _ in range(steps):
         rates, _, jacobian = single_track_rates(
-            mean[0], mean[1], vx, sample[STEER], sample[STEER_REAR], sample[FXF], sample[FXR], ax, ay, car
+            mean[0],
+            mean[1],
+            vx,
+            sample[at.STEER],
+            sample[at.STEER_REAR],
+            sample[at.FXF],
+            sample[at.FXR],
+            ax,
+            ay,
+            car,
         )
         yaw_r, slip_r, _, _, yaw_b, slip_b, _, _ = jacobian
         mean[0] += h * rates[0]
@@ -89,31 +87,31 @@ def dynamic_update(state, sample, car, noise):
     """
     mean = state.mean
     yaw_prior, beta_prior = mean[0], mean[1]
-    ax = sample[AX] if math.isfinite(sample[AX]) else 0.0
-    ay = sample[AY] if math.isfinite(sample[AY]) else 0.0
+    ax = sample[at.AX] if math.isfinite(sample[at.AX]) else 0.0
+    ay = sample[at.AY] if math.isfinite(sample[at.AY]) else 0.0
     _, measured, jacobian = single_track_rates(
         yaw_prior,
         beta_prior,
-        sample[VX],
-        sample[STEER],
-        sample[STEER_REAR],
-        sample[FXF],
-        sample[FXR],
+        sample[at.VX],
+        sample[at.STEER],
+        sample[at.STEER_REAR],
+        sample[at.FXF],
+        sample[at.FXR],
         ax,
         ay,
         car,
     )
     ay_r, ay_b = jacobian[3], jacobian[7]
-    wrong_ay = noise.missing_steer * sample[STEER_HELD] * car.stiffness_front / car.mass
+    wrong_ay = noise.missing_steer * sample[at.STEER_HELD] * car.stiffness_front / car.mass
     nis = math.nan
-    if math.isfinite(sample[YAW_RATE]):
-        nis = scalar_update(state, 1.0, 0.0, sample[YAW_RATE] - yaw_prior, noise.yaw_rate**2)
-    if math.isfinite(sample[AY]):
+    if math.isfinite(sample[at.YAW_RATE]):
+        nis = scalar_update(state, 1.0, 0.0, sample[at.YAW_RATE] - yaw_prior, noise.yaw_rate**2)
+    if math.isfinite(sample[at.AY]):
         expected = measured[1] + ay_r * (mean[0] - yaw_prior) + ay_b * (mean[1] - beta_prior)
-        part = scalar_update(state, ay_r, ay_b, sample[AY] - expected, noise.ay**2 + wrong_ay**2)
+        part = scalar_update(state, ay_r, ay_b, sample[at.AY] - expected, noise.ay**2 + wrong_ay**2)
         nis = part if math.isnan(nis) else nis + part
     mean[1] = min(max(mean[1], -MAX_BETA), MAX_BETA)
-    return nis, sample[YAW_RATE] - yaw_prior, sample[AY] - measured[1]
+    return nis, sample[at.YAW_RATE] - yaw_prior, sample[at.AY] - measured[1]
 
 
 @inlined
@@ -129,22 +127,22 @@ def dynamic_step(state, sample, car, noise, dt, out):
         return math.nan, math.nan
     if state.running[0] == 0:
         low_speed_answer(sample, car, out)
-        mean[0] = sample[YAW_RATE] if math.isfinite(sample[YAW_RATE]) else 0.0
-        mean[1] = out[BETA]
-        cov[0, 0], cov[0, 1], cov[1, 0], cov[1, 1] = noise.yaw_rate**2, 0.0, 0.0, out[BETA_STD] ** 2
+        mean[0] = sample[at.YAW_RATE] if math.isfinite(sample[at.YAW_RATE]) else 0.0
+        mean[1] = out[at.BETA]
+        cov[0, 0], cov[0, 1], cov[1, 0], cov[1, 1] = noise.yaw_rate**2, 0.0, 0.0, out[at.BETA_STD] ** 2
         state.running[0] = 1
         return math.nan, math.nan
     dynamic_predict(state, sample, car, noise, dt)
-    out[NIS], innovation_yaw_rate, innovation_ay = dynamic_update(state, sample, car, noise)
-    out[BETA] = mean[1]
-    out[BETA_STD] = math.sqrt(cov[1, 1])
+    out[at.NIS], innovation_yaw_rate, innovation_ay = dynamic_update(state, sample, car, noise)
+    out[at.BETA] = mean[1]
+    out[at.BETA_STD] = math.sqrt(cov[1, 1])
     return innovation_yaw_rate, innovation_ay
 
 
 @inlined
 def telling_dynamic_step(state, sample, car, noise, dt, out):
     """One sample of the dynamic filter; `out` ``(5,)`` gets the innovations too, as in `DynamicEKF.extras`."""
-    out[NIS + 1], out[NIS + 2] = dynamic_step(state, sample, car, noise, dt, out)
+    out[at.NIS + 1], out[at.NIS + 2] = dynamic_step(state, sample, car, noise, dt, out)
 
 
 @kernel

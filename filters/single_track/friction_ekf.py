@@ -16,25 +16,9 @@ from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
+from crosscomb.filters import columns as at
 from crosscomb.filters.algebra.leading import consider_update, propagate_leading
-from crosscomb.filters.base import (
-    AX,
-    AY,
-    BETA,
-    BETA_STD,
-    FXF,
-    FXR,
-    MAX_BETA,
-    NIS,
-    STEER,
-    STEER_HELD,
-    STEER_REAR,
-    VX,
-    YAW_RATE,
-    KernelFilter,
-    below_gate,
-    low_speed_answer,
-)  # fmt: skip
+from crosscomb.filters.base import MAX_BETA, KernelFilter, below_gate, low_speed_answer
 from crosscomb.filters.single_track.adaptation import TyreCar, excited, growth
 from crosscomb.models.compiled import inlined, kernel
 from crosscomb.models.parameter_track import (
@@ -85,11 +69,11 @@ class FrictionState(NamedTuple):
 @inlined
 def friction_rates(state, sample, car):
     """Rates and ay at the estimate; fills `state.slopes`."""
-    ax = sample[AX] if math.isfinite(sample[AX]) else 0.0
-    ay = sample[AY] if math.isfinite(sample[AY]) else 0.0
+    ax = sample[at.AX] if math.isfinite(sample[at.AX]) else 0.0
+    ay = sample[at.AY] if math.isfinite(sample[at.AY]) else 0.0
     return parameter_track_rates(
-        state.mean[0], state.mean[1], sample[VX], sample[STEER], sample[STEER_REAR], sample[FXF], sample[FXR],
-        ax, ay, car.law, state.mean[2:], car.track, state.by, state.slopes,
+        state.mean[0], state.mean[1], sample[at.VX], sample[at.STEER], sample[at.STEER_REAR], sample[at.FXF],
+        sample[at.FXR], ax, ay, car.law, state.mean[2:], car.track, state.by, state.slopes,
     )  # fmt: skip
 
 
@@ -97,10 +81,10 @@ def friction_rates(state, sample, car):
 def friction_predict(state, sample, car, noise, dt, adapting):
     """Predict over dt by Euler steps."""
     mean, cov, slopes, rows = state.mean, state.cov, state.slopes, state.rows
-    wrong_force = noise.missing_steer * sample[STEER_HELD] * car.track.stiffness_front
+    wrong_force = noise.missing_steer * sample[at.STEER_HELD] * car.track.stiffness_front
     wrong_yaw = wrong_force * car.track.a / car.track.yaw_inertia
-    wrong_slip = wrong_force / (car.track.mass * sample[VX])
-    steps = stable_substeps(sample[VX], dt, car.track)
+    wrong_slip = wrong_force / (car.track.mass * sample[at.VX])
+    steps = stable_substeps(sample[at.VX], dt, car.track)
     h = dt / steps
     for _ in range(steps):
         beta_rate, yaw_acceleration, _ = friction_rates(state, sample, car)
@@ -129,19 +113,19 @@ def friction_update(state, sample, car, noise, free):
     row, gain, crossed = state.vectors[0], state.vectors[1], state.vectors[2]
     yaw_rate, beta, friction = mean[0], mean[1], mean[2]
     _, _, expected = friction_rates(state, sample, car)
-    wrong_ay = noise.missing_steer * sample[STEER_HELD] * car.track.stiffness_front / car.track.mass
+    wrong_ay = noise.missing_steer * sample[at.STEER_HELD] * car.track.stiffness_front / car.track.mass
     nis = math.nan
-    if math.isfinite(sample[YAW_RATE]):
+    if math.isfinite(sample[at.YAW_RATE]):
         row[0], row[1], row[2] = 1.0, 0.0, 0.0
         nis = consider_update(
-            mean, cov, row, sample[YAW_RATE] - yaw_rate, noise.yaw_rate**2, free, gain, crossed
+            mean, cov, row, sample[at.YAW_RATE] - yaw_rate, noise.yaw_rate**2, free, gain, crossed
         )
-    if math.isfinite(sample[AY]):
+    if math.isfinite(sample[at.AY]):
         row[0], row[1] = slopes[LATERAL, BY_YAW_RATE], slopes[LATERAL, BY_BETA]
         row[2] = slopes[LATERAL, BY_PARAMETER]
         expected += row[0] * (mean[0] - yaw_rate) + row[1] * (mean[1] - beta) + row[2] * (mean[2] - friction)
         variance = noise.ay**2 + wrong_ay**2
-        part = consider_update(mean, cov, row, sample[AY] - expected, variance, free, gain, crossed)
+        part = consider_update(mean, cov, row, sample[at.AY] - expected, variance, free, gain, crossed)
         nis = part if math.isnan(nis) else nis + part
     mean[1] = min(max(mean[1], -MAX_BETA), MAX_BETA)
     return nis
@@ -150,7 +134,7 @@ def friction_update(state, sample, car, noise, free):
 @inlined
 def friction_bounds(state, sample, car, adapting):
     """Keep the friction in its bounds; gyro and accelerometer must agree before the least friction rises."""
-    used = min(abs(sample[AY]), abs(sample[YAW_RATE]) * sample[VX]) / GRAVITY if adapting else 0.0
+    used = min(abs(sample[at.AY]), abs(sample[at.YAW_RATE]) * sample[at.VX]) / GRAVITY if adapting else 0.0
     most = max(MOST_FRICTION, car.track.friction)
     state.mean[2] = min(max(state.mean[2], used, LEAST_FRICTION), most)
 
@@ -161,19 +145,19 @@ def friction_step(state, sample, car, noise, dt, out):
     mean, cov = state.mean, state.cov
     if below_gate(sample) or state.running[0] == 0:
         low_speed_answer(sample, car.track, out)
-        mean[0] = sample[YAW_RATE] if math.isfinite(sample[YAW_RATE]) else 0.0
-        mean[1] = out[BETA]
+        mean[0] = sample[at.YAW_RATE] if math.isfinite(sample[at.YAW_RATE]) else 0.0
+        mean[1] = out[at.BETA]
         cov[:2, :] = 0.0
         cov[:, :2] = 0.0
-        cov[0, 0], cov[1, 1] = noise.yaw_rate**2, out[BETA_STD] ** 2
+        cov[0, 0], cov[1, 1] = noise.yaw_rate**2, out[at.BETA_STD] ** 2
         state.running[0] = 0 if below_gate(sample) else 1
     else:
         adapting = excited(sample, noise)
         friction_predict(state, sample, car, noise, dt, adapting)
-        out[NIS] = friction_update(state, sample, car, noise, 3 if adapting else 2)
+        out[at.NIS] = friction_update(state, sample, car, noise, 3 if adapting else 2)
         friction_bounds(state, sample, car, adapting)
-        out[BETA] = mean[1]
-        out[BETA_STD] = math.sqrt(cov[1, 1])
+        out[at.BETA] = mean[1]
+        out[at.BETA_STD] = math.sqrt(cov[1, 1])
     out[3] = mean[2]
 
 

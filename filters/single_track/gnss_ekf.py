@@ -16,27 +16,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from crosscomb.filters import columns as at
 from crosscomb.filters.algebra.dense import joseph_update, propagate_cov
-from crosscomb.filters.base import (
-    AX,
-    AY,
-    BETA,
-    BETA_STD,
-    FXF,
-    FXR,
-    GNSS_COURSE,
-    HEADING,
-    MAX_BETA,
-    NIS,
-    STEER,
-    STEER_HELD,
-    STEER_REAR,
-    VX,
-    YAW_RATE,
-    KernelFilter,
-    below_gate,
-    low_speed_answer,
-)  # fmt: skip
+from crosscomb.filters.base import MAX_BETA, KernelFilter, below_gate, low_speed_answer
 from crosscomb.filters.kinematic.gnss_kf import wrap
 from crosscomb.models.compiled import inlined, kernel
 from crosscomb.models.single_track import single_track_rates, stable_substeps
@@ -71,10 +53,19 @@ class GnssDynamic(NamedTuple):
 @inlined
 def model_at(mean, sample, car):
     """Single-track model at a state and sample, as `single_track_rates` gives it."""
-    ax = sample[AX] if math.isfinite(sample[AX]) else 0.0
-    ay = sample[AY] if math.isfinite(sample[AY]) else 0.0
+    ax = sample[at.AX] if math.isfinite(sample[at.AX]) else 0.0
+    ay = sample[at.AY] if math.isfinite(sample[at.AY]) else 0.0
     return single_track_rates(
-        mean[0], mean[1], sample[VX], sample[STEER], sample[STEER_REAR], sample[FXF], sample[FXR], ax, ay, car
+        mean[0],
+        mean[1],
+        sample[at.VX],
+        sample[at.STEER],
+        sample[at.STEER_REAR],
+        sample[at.FXF],
+        sample[at.FXR],
+        ax,
+        ay,
+        car,
     )
 
 
@@ -82,9 +73,9 @@ def model_at(mean, sample, car):
 def disturbed_predict(state, sample, car, noise, dt):
     """Predict [yaw_rate, beta, disturbance] by Euler steps, as many as keep the stiff modes stable."""
     mean, f, q = state.mean, state.transition, state.added
-    wrong_force = noise.missing_steer * sample[STEER_HELD] * car.stiffness_front
-    wrong_yaw, wrong_slip = wrong_force * car.a / car.yaw_inertia, wrong_force / (car.mass * sample[VX])
-    steps = stable_substeps(sample[VX], dt, car)
+    wrong_force = noise.missing_steer * sample[at.STEER_HELD] * car.stiffness_front
+    wrong_yaw, wrong_slip = wrong_force * car.a / car.yaw_inertia, wrong_force / (car.mass * sample[at.VX])
+    steps = stable_substeps(sample[at.VX], dt, car)
     h = dt / steps
     keep = math.exp(-h / noise.disturbance_time)
     for _ in range(steps):
@@ -112,24 +103,24 @@ def disturbed_update(state, sample, car, noise):
     yaw_prior, beta_prior = mean[0], mean[1]
     _, (_, ay), jacobian = model_at(mean, sample, car)
     nis, count = 0.0, 0
-    if math.isfinite(sample[YAW_RATE]):
+    if math.isfinite(sample[at.YAW_RATE]):
         row[0], row[1] = 1.0, 0.0
         nis += joseph_update(
-            mean, state.cov, row, sample[YAW_RATE] - yaw_prior, noise.yaw_rate**2, state.work
+            mean, state.cov, row, sample[at.YAW_RATE] - yaw_prior, noise.yaw_rate**2, state.work
         )
         count += 1
-    if math.isfinite(sample[AY]):
+    if math.isfinite(sample[at.AY]):
         row[0], row[1] = jacobian[3], jacobian[7]
         expected = ay + row[0] * (mean[0] - yaw_prior) + row[1] * (mean[1] - beta_prior)
-        wrong_ay = noise.missing_steer * sample[STEER_HELD] * car.stiffness_front / car.mass
+        wrong_ay = noise.missing_steer * sample[at.STEER_HELD] * car.stiffness_front / car.mass
         nis += joseph_update(
-            mean, state.cov, row, sample[AY] - expected, noise.ay**2 + wrong_ay**2, state.work
+            mean, state.cov, row, sample[at.AY] - expected, noise.ay**2 + wrong_ay**2, state.work
         )
         count += 1
-    if math.isfinite(sample[GNSS_COURSE]) and math.isfinite(sample[HEADING]):
+    if math.isfinite(sample[at.GNSS_COURSE]) and math.isfinite(sample[at.HEADING]):
         row[0], row[1] = 0.0, 1.0
-        course = noise.gnss_velocity * math.cos(beta_prior) / sample[VX]
-        innovation = wrap(sample[GNSS_COURSE] - sample[HEADING] - mean[1])
+        course = noise.gnss_velocity * math.cos(beta_prior) / sample[at.VX]
+        innovation = wrap(sample[at.GNSS_COURSE] - sample[at.HEADING] - mean[1])
         nis += joseph_update(mean, state.cov, row, innovation, course**2 + noise.heading**2, state.work)
         count += 1
     return nis if count > 0 else math.nan
@@ -145,18 +136,18 @@ def gnss_dynamic_step(state, sample, car, noise, dt, out):
         return
     if state.running[0] == 0:
         low_speed_answer(sample, car, out)
-        mean[0] = sample[YAW_RATE] if math.isfinite(sample[YAW_RATE]) else 0.0
-        mean[1], mean[2] = out[BETA], 0.0
+        mean[0] = sample[at.YAW_RATE] if math.isfinite(sample[at.YAW_RATE]) else 0.0
+        mean[1], mean[2] = out[at.BETA], 0.0
         cov[:, :] = 0.0
-        cov[0, 0], cov[1, 1], cov[2, 2] = noise.yaw_rate**2, out[BETA_STD] ** 2, noise.disturbance**2
+        cov[0, 0], cov[1, 1], cov[2, 2] = noise.yaw_rate**2, out[at.BETA_STD] ** 2, noise.disturbance**2
         state.running[0] = 1
         return
     disturbed_predict(state, sample, car, noise, dt)
-    out[NIS] = disturbed_update(state, sample, car, noise)
+    out[at.NIS] = disturbed_update(state, sample, car, noise)
     mean[1] = min(max(mean[1], -MAX_BETA), MAX_BETA)
     most = 6.0 * noise.disturbance
     mean[2] = min(max(mean[2], -most), most)
-    out[BETA], out[BETA_STD] = mean[1], math.sqrt(cov[1, 1])
+    out[at.BETA], out[at.BETA_STD] = mean[1], math.sqrt(cov[1, 1])
 
 
 @kernel

@@ -30,24 +30,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from crosscomb.filters.base import (
-    AX,
-    AY,
-    BETA,
-    BETA_STD,
-    FXF,
-    FXR,
-    MAX_BETA,
-    NIS,
-    STEER,
-    STEER_HELD,
-    STEER_REAR,
-    VX,
-    YAW_RATE,
-    KernelFilter,
-    below_gate,
-    low_speed_answer,
-)  # fmt: skip
+from crosscomb.filters import columns as at
+from crosscomb.filters.base import MAX_BETA, KernelFilter, below_gate, low_speed_answer
 from crosscomb.models.compiled import inlined, kernel
 from crosscomb.models.linear_single_track import linear_single_track_rates
 from crosscomb.models.single_track import single_track_rates, stable_substeps
@@ -121,9 +105,9 @@ def observer_start(state, sample, car, out):
         return False
     low_speed_answer(sample, car, out)
     state.running[0] = 0 if slow else 1
-    state.mean[0] = sample[YAW_RATE] if math.isfinite(sample[YAW_RATE]) else 0.0
-    state.mean[1] = out[BETA]
-    state.error2[0] = ((car.stiffness_front + car.stiffness_rear) / car.mass * 0.5 * out[BETA_STD]) ** 2
+    state.mean[0] = sample[at.YAW_RATE] if math.isfinite(sample[at.YAW_RATE]) else 0.0
+    state.mean[1] = out[at.BETA]
+    state.error2[0] = ((car.stiffness_front + car.stiffness_rear) / car.mass * 0.5 * out[at.BETA_STD]) ** 2
     return True
 
 
@@ -131,16 +115,16 @@ def observer_start(state, sample, car, out):
 def observer_answer(state, sample, ay, car, settings, dt, out):
     """Write beta and the stated measure of its error (see the head of this file)."""
     stiffness = car.stiffness_front + car.stiffness_rear
-    error2 = (settings.missing_steer * sample[STEER_HELD] * car.stiffness_front / car.mass) ** 2
-    if math.isfinite(sample[AY]):
-        error2 += (sample[AY] - ay) ** 2
+    error2 = (settings.missing_steer * sample[at.STEER_HELD] * car.stiffness_front / car.mass) ** 2
+    if math.isfinite(sample[at.AY]):
+        error2 += (sample[at.AY] - ay) ** 2
     else:
         error2 += max(state.error2[0], (stiffness / car.mass * 0.02) ** 2)  # nothing known: as at the start
     state.error2[0] += (1.0 - math.exp(-dt / settings.memory)) * (min(error2, 400.0) - state.error2[0])
-    out[BETA] = state.mean[1]
+    out[at.BETA] = state.mean[1]
     spread = math.sqrt(state.error2[0]) * car.mass / stiffness
-    out[BETA_STD] = math.hypot(math.hypot(settings.floor, settings.share * out[BETA]), spread)
-    out[NIS] = math.nan
+    out[at.BETA_STD] = math.hypot(math.hypot(settings.floor, settings.share * out[at.BETA]), spread)
+    out[at.NIS] = math.nan
 
 
 @inlined
@@ -150,14 +134,14 @@ def correct(state, sample, ay, a11, a21, c21, c22, car, settings, layers, dt):
     What the gains do to an error over dt is taken exactly, so the poles hold at every rate.
     """
     mean = state.mean
-    if not math.isfinite(sample[YAW_RATE]):  # ay alone cannot hold the observer: it runs on its model
+    if not math.isfinite(sample[at.YAW_RATE]):  # ay alone cannot hold the observer: it runs on its model
         return
-    l11, l21, l22 = gains(a11, a21, c21, mean[1], sample[VX], car, settings)
-    error_yaw = saturate(sample[YAW_RATE] - mean[0], layers[0])
-    if math.isfinite(sample[AY]):
+    l11, l21, l22 = gains(a11, a21, c21, mean[1], sample[at.VX], car, settings)
+    error_yaw = saturate(sample[at.YAW_RATE] - mean[0], layers[0])
+    if math.isfinite(sample[at.AY]):
         growth = min(l22 * max(-c22, 1e-6) * dt, 20.0)
         gain = l22 * dt * math.expm1(growth) / growth if growth > 0.0 else 0.0
-        correction = l21 * dt * error_yaw + gain * saturate(sample[AY] - ay, layers[1])
+        correction = l21 * dt * error_yaw + gain * saturate(sample[at.AY] - ay, layers[1])
     else:  # without l22 it is a21 that keeps the yaw error out of beta
         correction = a21 * dt * error_yaw
     move(mean, -math.expm1(-l11 * dt) * error_yaw, correction)
@@ -168,7 +152,7 @@ def luenberger_step(state, sample, car, settings, dt, out):
     """One sample of the linear observer; `out` ``(3,)`` gets beta, its stated error and NaN."""
     if observer_start(state, sample, car, out):
         return
-    mean, vx, steer, steer_rear = state.mean, sample[VX], sample[STEER], sample[STEER_REAR]
+    mean, vx, steer, steer_rear = state.mean, sample[at.VX], sample[at.STEER], sample[at.STEER_REAR]
     steps = stable_substeps(vx, dt, car)
     h = dt / steps
     for _ in range(steps):
@@ -186,10 +170,10 @@ def nonlinear_step(state, sample, car, settings, layers, dt, out):
     """One sample of an observer on the nonlinear single track; boundary layers (2,) of its innovations."""
     if observer_start(state, sample, car, out):
         return
-    mean, vx, steer, steer_rear = state.mean, sample[VX], sample[STEER], sample[STEER_REAR]
-    fxf, fxr = sample[FXF], sample[FXR]
-    ax = sample[AX] if math.isfinite(sample[AX]) else 0.0
-    ay_seen = sample[AY] if math.isfinite(sample[AY]) else 0.0
+    mean, vx, steer, steer_rear = state.mean, sample[at.VX], sample[at.STEER], sample[at.STEER_REAR]
+    fxf, fxr = sample[at.FXF], sample[at.FXR]
+    ax = sample[at.AX] if math.isfinite(sample[at.AX]) else 0.0
+    ay_seen = sample[at.AY] if math.isfinite(sample[at.AY]) else 0.0
     steps = stable_substeps(vx, dt, car)
     h = dt / steps
     for _ in range(steps):

@@ -15,6 +15,7 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 from numba import njit
 
+from crosscomb.filters import columns as at
 from crosscomb.filters.algebra.particles import (
     RESAMPLE_BELOW,
     UNIFORM,
@@ -24,24 +25,7 @@ from crosscomb.filters.algebra.particles import (
     weighted_beta,
 )
 from crosscomb.filters.algebra.resampling import RESAMPLING, resample
-from crosscomb.filters.base import (
-    AX,
-    AY,
-    BETA,
-    BETA_STD,
-    FXF,
-    FXR,
-    MAX_BETA,
-    NIS,
-    STEER,
-    STEER_HELD,
-    STEER_REAR,
-    VX,
-    YAW_RATE,
-    KernelFilter,
-    below_gate,
-    low_speed_answer,
-)  # fmt: skip
+from crosscomb.filters.base import MAX_BETA, KernelFilter, below_gate, low_speed_answer
 from crosscomb.filters.single_track.ekf import DynamicNoise
 from crosscomb.models.compiled import kernel
 from crosscomb.models.single_track import single_track_rates, stable_substeps
@@ -73,7 +57,7 @@ def first_slips(state, yaw_rate, beta, beta_std, noise):
 @kernel
 def wrong_steer(sample, car, noise):
     """Error of the front axle's force by a held steering angle [N]; lasts about a second (see `DynamicNoise`)."""
-    return noise.missing_steer * sample[STEER_HELD] * car.stiffness_front
+    return noise.missing_steer * sample[at.STEER_HELD] * car.stiffness_front
 
 
 @kernel
@@ -81,16 +65,25 @@ def move_slips(state, sample, car, noise, dt):
     """Predict every particle over dt by Euler steps, as many as keep the stiff low-speed modes stable."""
     x, draws, rng = state.x, state.scratch, state.rng
     draw_uniform(rng, draws)
-    vx, root, force = sample[VX], math.sqrt(dt), wrong_steer(sample, car, noise)
-    ax = sample[AX] if math.isfinite(sample[AX]) else 0.0
-    ay = sample[AY] if math.isfinite(sample[AY]) else 0.0
+    vx, root, force = sample[at.VX], math.sqrt(dt), wrong_steer(sample, car, noise)
+    ax = sample[at.AX] if math.isfinite(sample[at.AX]) else 0.0
+    ay = sample[at.AY] if math.isfinite(sample[at.AY]) else 0.0
     yaw_by_force, slip_by_force = car.a / car.yaw_inertia, 1.0 / (car.mass * vx)
     steps = stable_substeps(vx, dt, car)
     for i in range(x.shape[1]):
         yaw_rate, beta = x[0, i], x[1, i]
         for _ in range(steps):
             rates, _, _ = single_track_rates(
-                yaw_rate, beta, vx, sample[STEER], sample[STEER_REAR], sample[FXF], sample[FXR], ax, ay, car
+                yaw_rate,
+                beta,
+                vx,
+                sample[at.STEER],
+                sample[at.STEER_REAR],
+                sample[at.FXF],
+                sample[at.FXR],
+                ax,
+                ay,
+                car,
             )
             yaw_rate += dt / steps * rates[0]
             beta = min(max(beta + dt / steps * rates[1], -MAX_BETA), MAX_BETA)
@@ -104,20 +97,20 @@ def move_slips(state, sample, car, noise, dt):
 def weigh_slips(state, sample, car, noise):
     """Add the log likelihood of the yaw rate and ay that are there to the log weights."""
     x, log_weights = state.x, state.log_weights
-    ax = sample[AX] if math.isfinite(sample[AX]) else 0.0
+    ax = sample[at.AX] if math.isfinite(sample[at.AX]) else 0.0
     wrong_ay = wrong_steer(sample, car, noise) / car.mass
-    if math.isfinite(sample[YAW_RATE]):
+    if math.isfinite(sample[at.YAW_RATE]):
         precision = 0.5 / noise.yaw_rate**2
         for i in range(log_weights.size):
-            log_weights[i] -= precision * (sample[YAW_RATE] - x[0, i]) ** 2
-    if math.isfinite(sample[AY]):
+            log_weights[i] -= precision * (sample[at.YAW_RATE] - x[0, i]) ** 2
+    if math.isfinite(sample[at.AY]):
         precision = 0.5 / (noise.ay**2 + wrong_ay**2)
         for i in range(log_weights.size):
             _, measured, _ = single_track_rates(
-                x[0, i], x[1, i], sample[VX], sample[STEER], sample[STEER_REAR],
-                sample[FXF], sample[FXR], ax, sample[AY], car,
+                x[0, i], x[1, i], sample[at.VX], sample[at.STEER], sample[at.STEER_REAR],
+                sample[at.FXF], sample[at.FXR], ax, sample[at.AY], car,
             )  # fmt: skip
-            log_weights[i] -= precision * (sample[AY] - measured[1]) ** 2
+            log_weights[i] -= precision * (sample[at.AY] - measured[1]) ** 2
 
 
 @njit(cache=True)
@@ -127,14 +120,14 @@ def dynamic_particle_step(state, sample, car, noise, dt, out):
         low_speed_answer(sample, car, out)
         state.running[0] = 0 if below_gate(sample) else 1
         if state.running[0] == 1:
-            yaw_rate = sample[YAW_RATE] if math.isfinite(sample[YAW_RATE]) else 0.0
-            first_slips(state, yaw_rate, out[BETA], out[BETA_STD], noise)
+            yaw_rate = sample[at.YAW_RATE] if math.isfinite(sample[at.YAW_RATE]) else 0.0
+            first_slips(state, yaw_rate, out[at.BETA], out[at.BETA_STD], noise)
         return
     move_slips(state, sample, car, noise, dt)
     weigh_slips(state, sample, car, noise)
     effective = normalise(state.log_weights, state.weights)
-    out[BETA], out[BETA_STD] = weighted_beta(state)
-    out[NIS] = math.nan
+    out[at.BETA], out[at.BETA_STD] = weighted_beta(state)
+    out[at.NIS] = math.nan
     if effective < RESAMPLE_BELOW * state.weights.size:
         resample(state)
 

@@ -23,25 +23,9 @@ from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
+from crosscomb.filters import columns as at
 from crosscomb.filters.algebra.leading import consider_update, propagate_leading
-from crosscomb.filters.base import (
-    AX,
-    AY,
-    BETA,
-    BETA_STD,
-    FXF,
-    FXR,
-    MAX_BETA,
-    NIS,
-    STEER,
-    STEER_HELD,
-    STEER_REAR,
-    VX,
-    YAW_RATE,
-    KernelFilter,
-    below_gate,
-    low_speed_answer,
-)  # fmt: skip
+from crosscomb.filters.base import MAX_BETA, KernelFilter, below_gate, low_speed_answer
 from crosscomb.filters.single_track.adaptation import Limits, TyreCar, excited, growth, parameter_limits
 from crosscomb.models.compiled import inlined, kernel
 from crosscomb.models.parameter_track import (
@@ -122,7 +106,7 @@ def tyre_start(state, sample, beta, beta_std, noise):
     """Start beta, yaw rate and the rates anew; the parameters stay as they were learned."""
     mean, cov = state.mean, state.cov
     mean[0] = beta
-    mean[1] = sample[YAW_RATE] if math.isfinite(sample[YAW_RATE]) else 0.0
+    mean[1] = sample[at.YAW_RATE] if math.isfinite(sample[at.YAW_RATE]) else 0.0
     mean[2] = mean[3] = 0.0
     cov[:RATES, :] = 0.0
     cov[:, :RATES] = 0.0
@@ -135,15 +119,15 @@ def tyre_predict(state, sample, car, noise, dt, adapting):
     """Predict over dt by Euler steps, so many that the rates, which lag a step behind, stay stable."""
     mean, cov, slopes, rows, limits = state.mean, state.cov, state.slopes, state.rows, state.limits
     n = cov.shape[0]
-    ax = sample[AX] if math.isfinite(sample[AX]) else 0.0
-    ay = sample[AY] if math.isfinite(sample[AY]) else 0.0
-    angle = noise.steer**2 + (noise.missing_steer * sample[STEER_HELD]) ** 2
-    steps = stable_substeps(sample[VX], 2.0 * dt, car.track)
+    ax = sample[at.AX] if math.isfinite(sample[at.AX]) else 0.0
+    ay = sample[at.AY] if math.isfinite(sample[at.AY]) else 0.0
+    angle = noise.steer**2 + (noise.missing_steer * sample[at.STEER_HELD]) ** 2
+    steps = stable_substeps(sample[at.VX], 2.0 * dt, car.track)
     h = dt / steps
     for _ in range(steps):
         beta_rate, yaw_acceleration, _ = parameter_track_rates(
-            mean[1], mean[0], sample[VX], sample[STEER], sample[STEER_REAR], sample[FXF], sample[FXR], ax, ay,
-            car.law, mean[RATES:], car.track, state.by, slopes,
+            mean[1], mean[0], sample[at.VX], sample[at.STEER], sample[at.STEER_REAR], sample[at.FXF], sample[at.FXR],
+            ax, ay, car.law, mean[RATES:], car.track, state.by, slopes,
         )  # fmt: skip
         rows[0, 0] = rows[1, 1] = 1.0
         rows[0, 2] = rows[1, 3] = h
@@ -181,22 +165,22 @@ def tyre_update(state, sample, noise, free):
     """Update the first `free` states with yaw rate and ay, as far as they are there; give the NIS."""
     mean, cov = state.mean, state.cov
     row, gain, crossed = state.vectors[0], state.vectors[1], state.vectors[2]
-    ax = sample[AX] if math.isfinite(sample[AX]) else 0.0
+    ax = sample[at.AX] if math.isfinite(sample[at.AX]) else 0.0
     beta, yaw_rate, beta_rate = mean[0], mean[1], mean[2]
     nis = math.nan
-    if math.isfinite(sample[YAW_RATE]):
+    if math.isfinite(sample[at.YAW_RATE]):
         row[:] = 0.0
         row[1] = 1.0
         nis = consider_update(
-            mean, cov, row, sample[YAW_RATE] - yaw_rate, noise.yaw_rate**2, free, gain, crossed
+            mean, cov, row, sample[at.YAW_RATE] - yaw_rate, noise.yaw_rate**2, free, gain, crossed
         )
-    if math.isfinite(sample[AY]):
-        expected, by_beta, by_rate = lateral_acceleration(beta, yaw_rate, beta_rate, sample[VX], ax)
+    if math.isfinite(sample[at.AY]):
+        expected, by_beta, by_rate = lateral_acceleration(beta, yaw_rate, beta_rate, sample[at.VX], ax)
         # The yaw rate has moved the state: same Jacobian, so the two equal one joint update.
         expected += by_beta * (mean[0] - beta) + by_rate * (mean[1] - yaw_rate + mean[2] - beta_rate)
         row[:] = 0.0
         row[0], row[1], row[2] = by_beta, by_rate, by_rate
-        part = consider_update(mean, cov, row, sample[AY] - expected, noise.ay**2, free, gain, crossed)
+        part = consider_update(mean, cov, row, sample[at.AY] - expected, noise.ay**2, free, gain, crossed)
         nis = part if math.isnan(nis) else nis + part
     hold_rates(mean)
     for i in range(RATES, free):
@@ -216,14 +200,14 @@ def tyre_step(state, sample, car, noise, dt, out):
         return
     if state.running[0] == 0:
         low_speed_answer(sample, car.track, out)
-        tyre_start(state, sample, out[BETA], out[BETA_STD], noise)
+        tyre_start(state, sample, out[at.BETA], out[at.BETA_STD], noise)
         state.running[0] = 1
         return
     adapting = excited(sample, noise)
     tyre_predict(state, sample, car, noise, dt, adapting)
-    out[NIS] = tyre_update(state, sample, noise, cov.shape[0] if adapting else RATES)
-    out[BETA] = mean[0]
-    out[BETA_STD] = math.sqrt(cov[0, 0])
+    out[at.NIS] = tyre_update(state, sample, noise, cov.shape[0] if adapting else RATES)
+    out[at.BETA] = mean[0]
+    out[at.BETA_STD] = math.sqrt(cov[0, 0])
     for i in range(3, out.shape[0]):
         out[i] = mean[RATES + i - 3]
 

@@ -8,7 +8,8 @@ import numpy as np
 import pandas as pd
 
 from crosscomb.filters import base
-from crosscomb.filters.base import SAMPLE_WIDTH, Inputs, make_inputs
+from crosscomb.filters import columns as at
+from crosscomb.filters.base import Inputs, make_inputs
 from crosscomb.filters.catalogue import make_filter
 from crosscomb.logs.prepare import complete
 from crosscomb.logs.resample import resample
@@ -188,7 +189,7 @@ def ramp_steer(vehicle: Vehicle, speed: float, seed: int) -> tuple[Inputs, np.nd
     )
     car, contact, substeps = planar_car(real, "double"), contacts(), 10
     n, h = int(RAMP_SECONDS * RATE), 1.0 / (RATE * substeps)
-    samples, beta = np.zeros((n, SAMPLE_WIDTH)), np.empty(n)
+    samples, beta = np.zeros((n, at.SAMPLE_WIDTH)), np.empty(n)
     samples[:, base.VFL :] = np.nan
     u, v, r, ax, ay = speed, 0.0, 0.0, 0.0, 0.0
     for k in range(n):
