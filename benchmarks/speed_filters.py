@@ -24,6 +24,7 @@ from rich.console import Console
 from rich.table import Table
 
 from crosscomb.filters import base
+from crosscomb.filters import columns as at
 from crosscomb.filters.base import Estimate, Inputs, KernelFilter
 from crosscomb.filters.kinematic.kf import KinematicKF
 from crosscomb.filters.random_walk.pf import FAR_OFF, FIRST_SPREAD, MOST_DOUBT, RandomWalkPF
@@ -56,13 +57,13 @@ def slalom(vehicle: Vehicle, steps: int) -> Inputs:
     t = 0.01 * np.arange(steps)
     vx, steer = 20.0 + 8.0 * np.sin(0.3 * t), 0.04 * np.sin(2.0 * t)
     yaw_rate = vx * steer / (vehicle.wheelbase + 0.0025 * vx**2)
-    samples = np.zeros((steps, base.SAMPLE_WIDTH))
-    samples[:, base.VX] = vx + rng.normal(0.0, 0.03, steps)
-    samples[:, base.STEER] = steer
-    samples[:, base.YAW_RATE] = yaw_rate + rng.normal(0.0, 0.002, steps)
-    samples[:, base.AY] = vx * yaw_rate + rng.normal(0.0, 0.2, steps)
-    samples[:, base.AX] = 2.4 * np.cos(0.3 * t) + rng.normal(0.0, 0.2, steps)
-    samples[:, base.FXF] = samples[:, base.FXR] = 0.5 * vehicle.mass * samples[:, base.AX]
+    samples = np.zeros((steps, at.SAMPLE_WIDTH))
+    samples[:, at.VX] = vx + rng.normal(0.0, 0.03, steps)
+    samples[:, at.STEER] = steer
+    samples[:, at.YAW_RATE] = yaw_rate + rng.normal(0.0, 0.002, steps)
+    samples[:, at.AY] = vx * yaw_rate + rng.normal(0.0, 0.2, steps)
+    samples[:, at.AX] = 2.4 * np.cos(0.3 * t) + rng.normal(0.0, 0.2, steps)
+    samples[:, at.FXF] = samples[:, at.FXR] = 0.5 * vehicle.mass * samples[:, at.AX]
     return Inputs(0.01, samples)
 
 
@@ -95,7 +96,7 @@ def numpy_random_walk_pf(estimator: RandomWalkPF, inputs: Inputs, ekf: Estimate)
                 x -= 0.5
                 x *= 2.0 * half
                 fyf, fyr = car.mass * z_ay * np.array([car.b, car.a]) / (car.a + car.b)
-                x += np.array([z_yaw, ekf.beta[k], sample[base.FXF], sample[base.FXR], fyf, fyr])[:, None]
+                x += np.array([z_yaw, ekf.beta[k], sample[at.FXF], sample[at.FXR], fyf, fyr])[:, None]
                 log_weights[:] = 0.0
             continue
         rng.random(out=random)

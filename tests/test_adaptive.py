@@ -50,7 +50,7 @@ def drive(
     rng = np.random.default_rng(seed)
     slopes, by = np.zeros(track_model.SLOPES_SHAPE), np.zeros((4, 2))
     samples = np.zeros((len(steer), at.SAMPLE_WIDTH))
-    samples[:, base.VFL :] = np.nan
+    samples[:, at.VFL :] = np.nan
     truth = np.empty(len(steer))
     yaw_rate = beta = 0.0
     for k, angle in enumerate(steer):
@@ -60,9 +60,9 @@ def drive(
             beta += 0.1 * DT * beta_rate
             yaw_rate += 0.1 * DT * yaw_acceleration
         truth[k] = beta
-        samples[k, [base.VX, base.STEER, base.YAW_RATE, base.AY]] = vx, angle, yaw_rate, ay
-    samples[:, base.YAW_RATE] += noise * 0.005 * rng.normal(size=len(steer))
-    samples[:, base.AY] += noise * 0.2 * rng.normal(size=len(steer))
+        samples[k, [at.VX, at.STEER, at.YAW_RATE, at.AY]] = vx, angle, yaw_rate, ay
+    samples[:, at.YAW_RATE] += noise * 0.005 * rng.normal(size=len(steer))
+    samples[:, at.AY] += noise * 0.2 * rng.normal(size=len(steer))
     return Inputs(DT, samples), truth
 
 
@@ -89,14 +89,14 @@ def rough() -> Inputs:
         noise=1.0,
     )
     samples, rng = inputs.samples, np.random.default_rng(6)
-    samples[:, base.AX] = 2.0 * np.sin(np.arange(800) * 0.02)
-    samples[:, base.FXF] = samples[:, base.FXR] = 0.5 * GOLF.mass * samples[:, base.AX]
-    for column in (base.AX, base.AY, base.YAW_RATE):
+    samples[:, at.AX] = 2.0 * np.sin(np.arange(800) * 0.02)
+    samples[:, at.FXF] = samples[:, at.FXR] = 0.5 * GOLF.mass * samples[:, at.AX]
+    for column in (at.AX, at.AY, at.YAW_RATE):
         samples[rng.random(800) < 0.05, column] = np.nan
-    samples[100:120, [base.AY, base.YAW_RATE]] = np.nan
-    samples[200:215, base.STEER_HELD] = 1.0
-    samples[400:420, base.VX] = 1.0
-    samples[420:480, base.VX] = 4.0
+    samples[100:120, [at.AY, at.YAW_RATE]] = np.nan
+    samples[200:215, at.STEER_HELD] = 1.0
+    samples[400:420, at.VX] = 1.0
+    samples[420:480, at.VX] = 4.0
     return inputs
 
 
@@ -123,13 +123,13 @@ def test_step_by_step_gives_the_bits_of_the_batch(name: str, rough: Inputs) -> N
 def test_nonsense_leaves_the_estimate_finite_and_the_tyres_in_range(name: str) -> None:
     rng = np.random.default_rng(7)
     samples = np.zeros((2000, at.SAMPLE_WIDTH))
-    samples[:, base.VX] = np.abs(20.0 + np.cumsum(rng.normal(0.0, 0.5, 2000)))
-    samples[:, [base.AX, base.AY]] = rng.normal(0.0, 30.0, (2000, 2))
-    samples[:, base.YAW_RATE] = rng.normal(0.0, 5.0, 2000)
-    samples[:, base.STEER] = rng.uniform(-0.7, 0.7, 2000)
-    samples[:, [base.FXF, base.FXR]] = rng.normal(0.0, 2e4, (2000, 2))
-    samples[rng.random(2000) < 0.3, base.AY] = np.nan
-    samples[700:900, [base.AX, base.AY, base.YAW_RATE]] = np.nan
+    samples[:, at.VX] = np.abs(20.0 + np.cumsum(rng.normal(0.0, 0.5, 2000)))
+    samples[:, [at.AX, at.AY]] = rng.normal(0.0, 30.0, (2000, 2))
+    samples[:, at.YAW_RATE] = rng.normal(0.0, 5.0, 2000)
+    samples[:, at.STEER] = rng.uniform(-0.7, 0.7, 2000)
+    samples[:, [at.FXF, at.FXR]] = rng.normal(0.0, 2e4, (2000, 2))
+    samples[rng.random(2000) < 0.3, at.AY] = np.nan
+    samples[700:900, [at.AX, at.AY, at.YAW_RATE]] = np.nan
     estimator = make_filter(name, GOLF)
     result = estimator.run(Inputs(DT, samples))
     assert np.isfinite(result.beta).all()
@@ -149,10 +149,10 @@ def test_nonsense_leaves_the_estimate_finite_and_the_tyres_in_range(name: str) -
 def test_straight_and_slow_driving_teach_nothing(name: str) -> None:
     rng = np.random.default_rng(8)
     samples = np.zeros((3000, at.SAMPLE_WIDTH))
-    samples[:, base.VX] = 25.0
-    samples[:, base.AY] = 0.3 + rng.normal(0.0, 0.15, 3000)  # a banked straight
-    samples[:, base.YAW_RATE] = rng.normal(0.0, 0.01, 3000)
-    samples[2000:, base.VX], samples[2000:, base.AY] = 4.0, 3.0  # a wrong sensor at walking speed
+    samples[:, at.VX] = 25.0
+    samples[:, at.AY] = 0.3 + rng.normal(0.0, 0.15, 3000)  # a banked straight
+    samples[:, at.YAW_RATE] = rng.normal(0.0, 0.01, 3000)
+    samples[2000:, at.VX], samples[2000:, at.AY] = 4.0, 3.0  # a wrong sensor at walking speed
     result = make_filter(name, GOLF).run(Inputs(DT, samples))
     for text, values in result.extra.items():
         assert (values == values[0]).all(), text
@@ -162,9 +162,9 @@ def test_straight_and_slow_driving_teach_nothing(name: str) -> None:
 def test_a_shaking_accelerometer_teaches_nothing_straight_ahead(name: str) -> None:
     rng = np.random.default_rng(9)
     samples = np.zeros((2000, at.SAMPLE_WIDTH))
-    samples[:, base.VX] = 25.0
-    samples[:, base.AY] = rng.normal(0.0, 4.0, 2000)
-    samples[:, base.YAW_RATE] = rng.normal(0.0, 0.005, 2000)
+    samples[:, at.VX] = 25.0
+    samples[:, at.AY] = rng.normal(0.0, 4.0, 2000)
+    samples[:, at.YAW_RATE] = rng.normal(0.0, 0.005, 2000)
     result = make_filter(name, GOLF).run(Inputs(DT, samples))
     for text, values in result.extra.items():
         assert (values == values[0]).all(), text
@@ -182,7 +182,7 @@ def test_noiseless_data_of_its_own_model_gives_the_truth(name: str) -> None:
     estimator.run_kernel(state, samples[1:], estimator.car, estimator.noise, DT, out)
     index = 0 if isinstance(estimator, RATT) else 1
     assert np.abs(truth[1:, index]).max() > 0.01
-    np.testing.assert_allclose(out[:, base.BETA], truth[1:, index], atol=1e-9)
+    np.testing.assert_allclose(out[:, at.BETA], truth[1:, index], atol=1e-9)
 
 
 def own_model(
@@ -204,7 +204,7 @@ def own_model(
     rates_as_states = isinstance(estimator, RATT)
     state = np.zeros(4 if rates_as_states else 2) if first is None else first.copy()
     states, samples = [state.copy()], np.zeros((len(steer), at.SAMPLE_WIDTH))
-    samples[:, base.VX], samples[:, base.STEER] = vx, steer
+    samples[:, at.VX], samples[:, at.STEER] = vx, steer
     shocks = np.zeros((len(steer), 2)) if shocks is None else shocks
     for k in range(1, len(steer)):
         # The model takes the friction in use from ay; small here, so that it is the file's.
@@ -218,8 +218,8 @@ def own_model(
         else:
             state = np.array([yaw_rate + DT * yaw_acceleration, beta + DT * beta_rate]) + shocks[k]
             _, _, ay = track_model.parameter_track_rates(*state, *given)
-        samples[k, base.YAW_RATE] = state[1] if rates_as_states else state[0]
-        samples[k, base.AY] = ay
+        samples[k, at.YAW_RATE] = state[1] if rates_as_states else state[0]
+        samples[k, at.AY] = ay
         states.append(state.copy())
     return np.array(states), samples
 
@@ -246,13 +246,13 @@ def test_errors_are_as_large_as_the_filter_says(cls: type[RATT]) -> None:
         tyres = limits.first + (limits.spread * drawn[RATES:] if n > RATES else 0.0)
         shocks = rng.normal(size=(steps, 2)) * [noise.yaw_acceleration, noise.slip_rate] / math.sqrt(DT)
         truth, samples = own_model(estimator, steer, vx, tyres, first, shocks)
-        samples[:, base.YAW_RATE] += noise.yaw_rate * rng.normal(size=steps)
-        samples[:, base.AY] += noise.ay * rng.normal(size=steps)
+        samples[:, at.YAW_RATE] += noise.yaw_rate * rng.normal(size=steps)
+        samples[:, at.AY] += noise.ay * rng.normal(size=steps)
         state.running[0] = 1
         out = np.full(3 + len(estimator.extras), np.nan)
         for k in range(1, steps):
             estimator.step_kernel(state, samples[k], estimator.car, noise, DT, out)
-            nis.append(out[base.NIS])
+            nis.append(out[at.NIS])
         error = np.concatenate([truth[-1], tyres])[:n] - state.mean[:n]
         nees.append(error @ np.linalg.solve(state.cov, error))
     inside(np.sum(nees), runs * n)
@@ -282,10 +282,10 @@ def matched_runs(
         tyres = first + spread * rng.normal(size=len(first))
         shocks = rng.normal(size=(steps, 2)) * [noise.yaw_acceleration, noise.slip_rate] * math.sqrt(DT)
         truth, samples = own_model(estimator, steer, vx, tyres, at_start, shocks)
-        samples[:, [base.YAW_RATE, base.AY]] += rng.normal(size=(steps, 2)) * [noise.yaw_rate, noise.ay]
+        samples[:, [at.YAW_RATE, at.AY]] += rng.normal(size=(steps, 2)) * [noise.yaw_rate, noise.ay]
         for k in range(1, steps):
             estimator.step_kernel(state, samples[k], estimator.car, noise, DT, out)
-            yield state, truth[k], tyres, k, out[base.NIS]
+            yield state, truth[k], tyres, k, out[at.NIS]
 
 
 SHARP = {"yaw_acceleration": 0.1, "slip_rate": 0.01, "yaw_rate": 0.01, "ay": 0.3, "adapt_speed": 0.0}
@@ -397,10 +397,9 @@ def test_friction_is_never_below_the_acceleration_in_use() -> None:
     inputs, _ = drive(np.array([1.0]), track_model.FRICTION, car, slalom(20.0, 0.06))
     result = FrictionAdaptiveEKF(GOLF.model_copy(update={"friction": 0.3})).run(inputs)
     used = (
-        np.minimum(np.abs(inputs.samples[:, base.AY]), 20.0 * np.abs(inputs.samples[:, base.YAW_RATE]))
-        / 9.80665
+        np.minimum(np.abs(inputs.samples[:, at.AY]), 20.0 * np.abs(inputs.samples[:, at.YAW_RATE])) / 9.80665
     )
-    used[np.abs(inputs.samples[:, base.AY]) <= 1.0] = 0.0
+    used[np.abs(inputs.samples[:, at.AY]) <= 1.0] = 0.0
     assert used.max() > 0.5
     assert (result.extra["friction [-]"][1:] >= used[1:] - 1e-3).all()
 

@@ -36,7 +36,7 @@ def drive(seconds: float, amplitude: float, noise: float = 0.0, seed: int = 0) -
     car, rng = single_track(GOLF, "linear"), np.random.default_rng(seed)
     steer = amplitude * np.sin(2.0 * np.pi * 0.3 * np.arange(0.0, seconds, DT))
     samples, truth = np.zeros((len(steer), at.SAMPLE_WIDTH)), np.empty(len(steer))
-    samples[:, base.VFL :] = np.nan
+    samples[:, at.VFL :] = np.nan
     yaw_rate = beta = 0.0
     for k, angle in enumerate(steer):
         for _ in range(10):
@@ -64,14 +64,14 @@ def rough() -> Inputs:
     """Hard slalom with gaps, held speed, braking and a stop."""
     inputs, _ = drive(8.0, 0.07, noise=1.0)
     samples, rng = inputs.samples, np.random.default_rng(6)
-    samples[:, base.AX] += 2.0 * np.sin(np.arange(800) * 0.02)
-    samples[:, base.FXF], samples[:, base.FXR] = 0.7 * GOLF.mass * samples[:, base.AX], 300.0
-    for column in (base.AX, base.AY, base.YAW_RATE):
+    samples[:, at.AX] += 2.0 * np.sin(np.arange(800) * 0.02)
+    samples[:, at.FXF], samples[:, at.FXR] = 0.7 * GOLF.mass * samples[:, at.AX], 300.0
+    for column in (at.AX, at.AY, at.YAW_RATE):
         samples[rng.random(800) < 0.05, column] = np.nan
-    samples[100:120, base.AY : base.STEER] = np.nan
-    samples[200:215, base.VX_HELD] = 1.0
-    samples[400:420, base.VX] = 1.0
-    samples[420:480, base.VX] = 4.0
+    samples[100:120, at.AY : at.STEER] = np.nan
+    samples[200:215, at.VX_HELD] = 1.0
+    samples[400:420, at.VX] = 1.0
+    samples[420:480, at.VX] = 4.0
     return inputs
 
 
@@ -118,14 +118,14 @@ SETTINGS = [
 def test_nonsense_leaves_the_estimate_finite(cls: type, settings: dict[str, str]) -> None:
     rng = np.random.default_rng(7)
     samples = np.zeros((2000, at.SAMPLE_WIDTH))
-    samples[:, base.VX] = np.abs(20.0 + np.cumsum(rng.normal(0.0, 0.5, 2000)))
-    samples[:, [base.AX, base.AY]] = rng.normal(0.0, 30.0, (2000, 2))
-    samples[:, base.YAW_RATE] = rng.normal(0.0, 5.0, 2000)
-    samples[:, base.STEER] = rng.uniform(-0.7, 0.7, 2000)
-    samples[:, [base.FXF, base.FXR]] = rng.normal(0.0, 2e4, (2000, 2))
-    samples[rng.random(2000) < 0.3, base.AY] = np.nan
-    samples[700:900, base.AX : base.STEER] = np.nan
-    samples[700:900, base.VX_HELD] = 1.0
+    samples[:, at.VX] = np.abs(20.0 + np.cumsum(rng.normal(0.0, 0.5, 2000)))
+    samples[:, [at.AX, at.AY]] = rng.normal(0.0, 30.0, (2000, 2))
+    samples[:, at.YAW_RATE] = rng.normal(0.0, 5.0, 2000)
+    samples[:, at.STEER] = rng.uniform(-0.7, 0.7, 2000)
+    samples[:, [at.FXF, at.FXR]] = rng.normal(0.0, 2e4, (2000, 2))
+    samples[rng.random(2000) < 0.3, at.AY] = np.nan
+    samples[700:900, at.AX : at.STEER] = np.nan
+    samples[700:900, at.VX_HELD] = 1.0
     result = cls(GOLF, **settings).run(Inputs(DT, samples))
     for values in (result.beta, result.beta_std, *result.extra.values()):
         assert np.isfinite(values).all()
@@ -136,15 +136,15 @@ def own_walk(steps: int, first: np.ndarray, shocks: np.ndarray) -> tuple[np.ndar
     """States ``(steps, 6)`` and samples of the single-track filter's discrete model at 20 m/s."""
     state, states, jacobian = first.copy(), [first.copy()], np.zeros((4, 6))
     samples = np.zeros((steps, at.SAMPLE_WIDTH))
-    samples[:, base.VX] = 20.0
-    samples[:, base.STEER] = 0.05 * np.sin(0.03 * np.arange(steps))
+    samples[:, at.VX] = 20.0
+    samples[:, at.STEER] = 0.05 * np.sin(0.03 * np.arange(steps))
     for k in range(1, steps):
-        steer = samples[k, base.STEER]
+        steer = samples[k, at.STEER]
         yaw_acceleration, beta_rate, _, _ = random_walk_rates(state, 20.0, steer, 0.0, CAR)
         state = state + DT * np.array([yaw_acceleration, beta_rate, 0.0, 0.0, 0.0, 0.0]) + shocks[k]
         random_walk_jacobian(state, 20.0, steer, 0.0, CAR, jacobian)
-        samples[k, [base.AX, base.AY]] = jacobian[2:] @ state
-        samples[k, [base.YAW_RATE, base.FXF, base.FXR]] = state[[0, 2, 3]]
+        samples[k, [at.AX, at.AY]] = jacobian[2:] @ state
+        samples[k, [at.YAW_RATE, at.FXF, at.FXR]] = state[[0, 2, 3]]
         states.append(state)
     return np.array(states), samples
 
@@ -160,7 +160,7 @@ def test_noiseless_data_of_its_own_model_gives_the_truth() -> None:
     state.cov[:] = np.diag(rng.uniform(0.5, 1.5, 6) * [1e-4, 1e-4, 1e5, 1e5, 1e5, 1e5])
     out = np.full((299, 6), np.nan)
     estimator.run_kernel(state, samples[1:], estimator.car, estimator.noise, DT, out)
-    np.testing.assert_allclose(out[:, base.BETA], truth[1:, 1], atol=1e-9)
+    np.testing.assert_allclose(out[:, at.BETA], truth[1:, 1], atol=1e-9)
     assert np.ptp(truth[:, 1]) > 0.02
 
 
@@ -180,7 +180,7 @@ def test_noiseless_data_of_the_double_tracks_own_model_gives_the_truth() -> None
         x[:3] += DT * np.array([u_dot, v_dot, r_dot])
         sample[:5] = x[0], 0.0, across / GOLF.mass, x[2], steer
         estimator.step_kernel(state, sample, estimator.car, estimator.noise, DT, out)
-        assert out[base.BETA] == pytest.approx(math.atan2(x[1], x[0]), abs=1e-9)
+        assert out[at.BETA] == pytest.approx(math.atan2(x[1], x[0]), abs=1e-9)
 
 
 def test_errors_of_the_single_track_are_as_large_as_it_says() -> None:
@@ -193,14 +193,14 @@ def test_errors_of_the_single_track_are_as_large_as_it_says() -> None:
     for _ in range(runs):
         start = rng.normal(size=6) * np.sqrt(np.diag(cov))
         truth, samples = own_walk(steps, start, rng.normal(size=(steps, 6)) * per_step)
-        samples[:, base.YAW_RATE] += 0.01 * rng.normal(size=steps)
-        samples[:, [base.AX, base.AY]] += 0.2 * rng.normal(size=(steps, 2))
-        samples[:, base.FXF] += 0.3 * mass * rng.normal(size=steps)
+        samples[:, at.YAW_RATE] += 0.01 * rng.normal(size=steps)
+        samples[:, [at.AX, at.AY]] += 0.2 * rng.normal(size=(steps, 2))
+        samples[:, at.FXF] += 0.3 * mass * rng.normal(size=steps)
         state, out = estimator.make_state(), np.full(6, np.nan)
         state.cov[:], state.running[0] = cov, 1
         for k in range(1, steps):
             estimator.step_kernel(state, samples[k], estimator.car, noise, DT, out)
-            nis.append(out[base.NIS])
+            nis.append(out[at.NIS])
         error = truth[-1] - state.mean
         nees.append(error @ np.linalg.solve(state.cov, error))
     inside(np.sum(nees), 6 * runs)
@@ -224,18 +224,18 @@ def test_errors_of_the_double_track_are_as_large_as_it_says() -> None:
         sample[:5] = 20.0, 0.0, 0.0, 0.0, 0.0
         estimator.step_kernel(state, sample, estimator.car, noise, DT, out)
         state.cov[:] *= 0.01  # or the car spins
-        x = x + 0.1 * rng.normal(size=5) * [0.05, 20.0 * out[base.BETA_STD], 0.01, mass, mass]
+        x = x + 0.1 * rng.normal(size=5) * [0.05, 20.0 * out[at.BETA_STD], 0.01, mass, mass]
         for _ in range(steps):
             forces = np.repeat(0.5 * x[3:], 2)
             y, moment = wheels[:, COS] @ forces, wheels[:, SIDE_ARM] @ forces
             rates = [x[1] * x[2], y / mass - x[0] * x[2], moment / GOLF.yaw_inertia]
             x[:3] += DT * np.array(rates)
             x += rng.normal(size=5) * np.array([0.1, 0.1, 0.1, 0.2 * mass, 0.2 * mass]) * math.sqrt(DT)
-            sample[base.VX] = x[0] + 0.05 * rng.normal()
-            sample[base.YAW_RATE] = x[2] + 0.01 * rng.normal()
-            sample[base.AY] = np.sum(x[3:]) / mass + 0.2 * rng.normal()
+            sample[at.VX] = x[0] + 0.05 * rng.normal()
+            sample[at.YAW_RATE] = x[2] + 0.01 * rng.normal()
+            sample[at.AY] = np.sum(x[3:]) / mass + 0.2 * rng.normal()
             estimator.step_kernel(state, sample, estimator.car, noise, DT, out)
-            nis.append(out[base.NIS])
+            nis.append(out[at.NIS])
         error = x - pick @ state.mean
         nees.append(error @ np.linalg.solve(pick @ state.cov @ pick.T, error))
     inside(np.sum(nees), 5 * runs)
@@ -245,7 +245,7 @@ def test_errors_of_the_double_track_are_as_large_as_it_says() -> None:
 @pytest.mark.parametrize("name", BOTH)
 def test_a_tied_beta_does_not_drift_where_a_free_one_does(name: str) -> None:
     inputs, truth = drive(60.0, 0.03, noise=1.0)
-    inputs.samples[:, base.AY] += 0.4  # a banked road, or a sensor offset
+    inputs.samples[:, at.AY] += 0.4  # a banked road, or a sensor offset
     tied = make_filter(name, GOLF).run(inputs).beta
     free = make_filter(name, GOLF, {"slip_from": "free"}).run(inputs).beta
     assert rmse_deg(tied, truth) < 1.2
@@ -257,7 +257,7 @@ def test_forces_and_friction_use_are_those_of_the_drive(name: str) -> None:
     inputs, _ = drive(20.0, 0.05, noise=0.5)
     extra = make_filter(name, GOLF).run(inputs).extra
     clean, _ = drive(20.0, 0.05)
-    ay, yaw_rate = clean.samples[500:, base.AY], clean.samples[:, base.YAW_RATE]
+    ay, yaw_rate = clean.samples[500:, at.AY], clean.samples[:, at.YAW_RATE]
     lateral, moment, use = (
         extra[key][500:] for key in ("lateral_force [N]", "yaw_moment [N m]", "friction_use [-]")
     )
@@ -278,7 +278,7 @@ def test_friction_use_above_one_shows_that_the_file_is_wrong() -> None:
 def test_slow_ramp_steer_is_followed_as_published() -> None:
     """Pieralice 2018: EKF+RW stays close in slow ramps, up to 4 m/s^2 here, where the rear tyre is linear."""
     inputs, truth = ramp_steer(EVOQUE, 60.0 / 3.6, seed=1)
-    gentle = slice(100, int(np.argmax(inputs.samples[:, base.AY] > 4.0)))
+    gentle = slice(100, int(np.argmax(inputs.samples[:, at.AY] > 4.0)))
     estimator = DoubleTrackRandomWalkEKF(EVOQUE, measured="u_r", yaw_moment="zero")
     error = np.degrees(estimator.run(inputs).beta - truth)[gentle]
     smooth = np.convolve(error, np.full(50, 0.02), "valid")

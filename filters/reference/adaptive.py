@@ -14,6 +14,7 @@ import numpy as np
 from filterpy.kalman import ExtendedKalmanFilter
 
 from crosscomb.filters import base
+from crosscomb.filters import columns as at
 from crosscomb.filters.base import Estimate, Inputs
 from crosscomb.filters.single_track.adaptation import Limits, excited, growth
 from crosscomb.filters.single_track.dual_ekf import DualEKF
@@ -76,7 +77,7 @@ def walk_samples(
         base.low_speed_answer(sample, car, answer)
         running = not base.below_gate(sample)
         if running:
-            start(sample, answer[base.BETA], answer[base.BETA_STD])
+            start(sample, answer[at.BETA], answer[at.BETA_STD])
     return Estimate(beta=out[:, 0], beta_std=out[:, 1], nis=out[:, 2])
 
 
@@ -111,7 +112,7 @@ def reference_tyre_ekf(estimator: RATT, inputs: Inputs) -> Estimate:
     ekf.x, ekf.P = first.mean[:n].copy(), first.cov.copy()
 
     def start(sample: np.ndarray, beta: float, beta_std: float) -> None:
-        ekf.x[:RATES] = beta, np.nan_to_num(sample[base.YAW_RATE]), 0.0, 0.0
+        ekf.x[:RATES] = beta, np.nan_to_num(sample[at.YAW_RATE]), 0.0, 0.0
         ekf.P[:RATES], ekf.P[:, :RATES] = 0.0, 0.0
         ekf.P[range(4), range(4)] = np.square([beta_std, noise.yaw_rate, *FIRST_RATES_STD])
 
@@ -123,7 +124,7 @@ def reference_tyre_ekf(estimator: RATT, inputs: Inputs) -> Estimate:
         ekf.F[2:4] = 0.0
         ekf.F[0, 2] = ekf.F[1, 3] = h
         ekf.F[2:4, [0, 1, *range(RATES, n)]] = slopes[:2, columns]
-        angle = noise.steer**2 + (noise.missing_steer * sample[base.STEER_HELD]) ** 2
+        angle = noise.steer**2 + (noise.missing_steer * sample[at.STEER_HELD]) ** 2
         ekf.Q = np.zeros((n, n))
         ekf.Q[2:4, 2:4] = angle * np.outer(slopes[:2, 2], slopes[:2, 2])
         ekf.Q[2:4, 2:4] += np.diag([noise.slip_rate**2, noise.yaw_acceleration**2])
@@ -134,19 +135,19 @@ def reference_tyre_ekf(estimator: RATT, inputs: Inputs) -> Estimate:
 
     def step(sample: np.ndarray) -> tuple[float, float, float]:
         adapting = excited(sample, noise)
-        steps = stable_substeps(sample[base.VX], 2.0 * inputs.dt, car.track)
+        steps = stable_substeps(sample[at.VX], 2.0 * inputs.dt, car.track)
         for _ in range(steps):
             predict(sample, inputs.dt / steps)
         if adapting and n > RATES:
             ekf.P[range(RATES, n), range(RATES, n)] += _growth(np.diag(ekf.P)[RATES:], limits, inputs.dt)
-        ax = np.nan_to_num(sample[base.AX])
+        ax = np.nan_to_num(sample[at.AX])
         beta, yaw_rate, beta_rate = ekf.x[:3].tolist()
-        ay, by_beta, by_rate = lateral_acceleration(beta, yaw_rate, beta_rate, sample[base.VX], ax)
+        ay, by_beta, by_rate = lateral_acceleration(beta, yaw_rate, beta_rate, sample[at.VX], ax)
         h = np.zeros((2, n))
         h[0, 1] = 1.0
         h[1, :3] = by_beta, by_rate, by_rate
         variance = np.square([noise.yaw_rate, noise.ay])
-        z = sample[[base.YAW_RATE, base.AY]]
+        z = sample[[at.YAW_RATE, at.AY]]
         nis = ekf.measure(z, np.array([ekf.x[1], ay]), h, variance, None if adapting or n == RATES else RATES)
         hold_rates(ekf.x)
         if adapting and n > RATES:
@@ -174,16 +175,16 @@ def reference_dual_ekf(estimator: DualEKF, inputs: Inputs) -> Estimate:
         motion.x[1] = np.clip(motion.x[1], -base.MAX_BETA, base.MAX_BETA)
 
     def start(sample: np.ndarray, beta: float, beta_std: float) -> None:
-        motion.x = np.array([np.nan_to_num(sample[base.YAW_RATE]), beta])
+        motion.x = np.array([np.nan_to_num(sample[at.YAW_RATE]), beta])
         motion.P = np.diag([noise.yaw_rate**2, beta_std**2])
         sensitivity[:] = 0.0
 
     def step(sample: np.ndarray) -> tuple[float, float, float]:
-        wrong = noise.missing_steer * sample[base.STEER_HELD] * car.track.stiffness_front
+        wrong = noise.missing_steer * sample[at.STEER_HELD] * car.track.stiffness_front
         aside = wrong * np.array(
-            [car.track.a / car.track.yaw_inertia, 1.0 / (car.track.mass * sample[base.VX])]
+            [car.track.a / car.track.yaw_inertia, 1.0 / (car.track.mass * sample[at.VX])]
         )
-        steps = stable_substeps(sample[base.VX], dt, car.track)
+        steps = stable_substeps(sample[at.VX], dt, car.track)
         for _ in range(steps):
             h = dt / steps
             beta_rate, yaw_acceleration, _, slopes = _track(sample, motion.x, tyres.x, car)
@@ -195,7 +196,7 @@ def reference_dual_ekf(estimator: DualEKF, inputs: Inputs) -> Estimate:
             hold_beta()
             sensitivity[:] = motion.F @ sensitivity + h * slopes[swap, 3:]
         _, _, ay, slopes = _track(sample, motion.x, tyres.x, car)
-        z, there = sample[[base.YAW_RATE, base.AY]], np.isfinite(sample[[base.YAW_RATE, base.AY]])
+        z, there = sample[[at.YAW_RATE, at.AY]], np.isfinite(sample[[at.YAW_RATE, at.AY]])
         h_matrix = np.array([[1.0, 0.0], slopes[2, swap]])
         by_tyres = (h_matrix @ sensitivity + np.array([np.zeros(4), slopes[2, 3:]]))[there]
         expected = np.array([motion.x[0], ay])
@@ -232,17 +233,17 @@ def reference_friction_adaptive_ekf(estimator: FrictionAdaptiveEKF, inputs: Inpu
     ekf.x, ekf.P = state.mean.copy(), state.cov.copy()
 
     def start(sample: np.ndarray, beta: float, beta_std: float) -> None:
-        ekf.x[:2] = np.nan_to_num(sample[base.YAW_RATE]), beta
+        ekf.x[:2] = np.nan_to_num(sample[at.YAW_RATE]), beta
         ekf.P[:2], ekf.P[:, :2] = 0.0, 0.0
         ekf.P[0, 0], ekf.P[1, 1] = noise.yaw_rate**2, beta_std**2
 
     def step(sample: np.ndarray) -> tuple[float, float, float]:
         adapting = excited(sample, noise)
-        wrong = noise.missing_steer * sample[base.STEER_HELD] * car.track.stiffness_front
+        wrong = noise.missing_steer * sample[at.STEER_HELD] * car.track.stiffness_front
         aside = wrong * np.array(
-            [car.track.a / car.track.yaw_inertia, 1.0 / (car.track.mass * sample[base.VX]), 0.0]
+            [car.track.a / car.track.yaw_inertia, 1.0 / (car.track.mass * sample[at.VX]), 0.0]
         )
-        steps = stable_substeps(sample[base.VX], dt, car.track)
+        steps = stable_substeps(sample[at.VX], dt, car.track)
         for _ in range(steps):
             h = dt / steps
             beta_rate, yaw_acceleration, _, slopes = _track(sample, ekf.x[:2], ekf.x[2:], car)
@@ -258,7 +259,7 @@ def reference_friction_adaptive_ekf(estimator: FrictionAdaptiveEKF, inputs: Inpu
         _, _, ay, slopes = _track(sample, ekf.x[:2], ekf.x[2:], car)
         h_matrix = np.array([[1.0, 0.0, 0.0], slopes[2, order]])
         variance = np.array([noise.yaw_rate**2, noise.ay**2 + (wrong / car.track.mass) ** 2])
-        z = sample[[base.YAW_RATE, base.AY]]
+        z = sample[[at.YAW_RATE, at.AY]]
         nis = ekf.measure(z, np.array([ekf.x[0], ay]), h_matrix, variance, None if adapting else 2)
         ekf.x[1] = np.clip(ekf.x[1], -base.MAX_BETA, base.MAX_BETA)
         friction_bounds(state._replace(mean=ekf.x), sample, car, adapting)

@@ -11,7 +11,7 @@ import math
 
 import numpy as np
 
-from crosscomb.filters import base
+from crosscomb.filters import columns as at
 from crosscomb.filters.base import MAX_BETA, Estimate, Inputs
 from crosscomb.filters.kinematic.gnss_kf import UNKNOWN_HEADING, GnssKinematicKF
 from crosscomb.filters.kinematic.kf_variants import LEAST_SHARE, ZeroYawKF
@@ -68,16 +68,16 @@ def reference_gnss_kinematic_kf(estimator: GnssKinematicKF, inputs: Inputs) -> E
     age = [noise.outage]
 
     def start(sample: np.ndarray, beta: float, beta_std: float) -> None:
-        vx = sample[base.VX]
+        vx = sample[at.VX]
         ekf.x = np.array([vx, vx * math.tan(beta), 0.0, 0.0, 0.0, 0.0, 0.0])
         ekf.P = np.diag([noise.speed**2, (vx * beta_std) ** 2, UNKNOWN_HEADING, *sizes**2])
 
     def predict(sample: np.ndarray) -> None:
-        yaw_rate = sample[base.YAW_RATE] - ekf.x[3]
+        yaw_rate = sample[at.YAW_RATE] - ekf.x[3]
         turn, gain = (np.reshape(f(yaw_rate, dt), (2, 2)) for f in (rotation, input_gain))
         decay = math.exp(-noise.relaxation * min(age[0] / noise.outage, 1.0) * dt)
         turn = turn @ np.diag([1.0, decay])
-        velocity = turn @ ekf.x[:2] + gain @ (sample[[base.AX, base.AY]] - ekf.x[4:6])
+        velocity = turn @ ekf.x[:2] + gain @ (sample[[at.AX, at.AY]] - ekf.x[4:6])
         ekf.F = np.eye(7)
         ekf.F[3:, 3:] *= keep
         ekf.F[:2, :2], ekf.F[:2, 4:6] = turn, -gain
@@ -101,18 +101,18 @@ def reference_gnss_kinematic_kf(estimator: GnssKinematicKF, inputs: Inputs) -> E
         predict(sample)
         vx, _, _, _, _, _, scale = ekf.x
         row = [1.0 + scale, 0.0, 0.0, 0.0, 0.0, 0.0, vx]
-        nis = update(row, sample[base.VX] - row[0] * vx, noise.speed**2)
+        nis = update(row, sample[at.VX] - row[0] * vx, noise.speed**2)
         row = [0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0]
-        nis += update(row, _wrapped(sample[base.HEADING] - ekf.x[2]), noise.heading**2)
+        nis += update(row, _wrapped(sample[at.HEADING] - ekf.x[2]), noise.heading**2)
         speed = math.hypot(*ekf.x[:2])
         row = [*(ekf.x[:2] / speed), 0.0, 0.0, 0.0, 0.0, 0.0]
-        nis += update(row, sample[base.GNSS_SPEED] - speed, noise.gnss_velocity**2)
+        nis += update(row, sample[at.GNSS_SPEED] - speed, noise.gnss_velocity**2)
         vx, vy, psi = ekf.x[:3]
         speed2 = vx**2 + vy**2
         row = [-vy / speed2, vx / speed2, 1.0, 0.0, 0.0, 0.0, 0.0]
-        innovation = _wrapped(sample[base.GNSS_COURSE] - psi - math.atan2(vy, vx))
+        innovation = _wrapped(sample[at.GNSS_COURSE] - psi - math.atan2(vy, vx))
         nis += update(row, innovation, noise.gnss_velocity**2 / speed2)
-        if np.isfinite(sample[[base.GNSS_COURSE, base.HEADING]]).all():
+        if np.isfinite(sample[[at.GNSS_COURSE, at.HEADING]]).all():
             age[0] = 0.0
         ekf.x[3:] = np.clip(ekf.x[3:], -6.0 * sizes, 6.0 * sizes)
         return *slip_of(ekf), nis
@@ -142,11 +142,11 @@ def reference_gnss_dynamic_observer(estimator: GnssDynamicObserver, inputs: Inpu
         return np.array(rates), expected_ay, np.array(jacobian).reshape(2, 4).T
 
     def start(sample: np.ndarray, beta: float, beta_std: float) -> None:
-        ekf.x = np.array([sample[base.YAW_RATE], beta, 0.0])
+        ekf.x = np.array([sample[at.YAW_RATE], beta, 0.0])
         ekf.P = np.diag([noise.yaw_rate**2, beta_std**2, noise.disturbance**2])
 
     def step(sample: np.ndarray) -> tuple[float, float, float]:
-        steps = stable_substeps(sample[base.VX], inputs.dt, car)
+        steps = stable_substeps(sample[at.VX], inputs.dt, car)
         h = inputs.dt / steps
         keep = math.exp(-h / noise.disturbance_time)
         ekf.Q = np.diag(
@@ -161,11 +161,11 @@ def reference_gnss_dynamic_observer(estimator: GnssDynamicObserver, inputs: Inpu
             ekf.predict(np.array([*(ekf.x[:2] + h * rates), keep * ekf.x[2]]))
             ekf.x[1] = min(max(ekf.x[1], -MAX_BETA), MAX_BETA)
         _, expected_ay, jacobian = model(sample)
-        seen = _wrapped(sample[base.GNSS_COURSE] - sample[base.HEADING] - ekf.x[1])
+        seen = _wrapped(sample[at.GNSS_COURSE] - sample[at.HEADING] - ekf.x[1])
         rows = 3 if math.isfinite(seen) else 2
-        innovation = np.array([sample[base.YAW_RATE] - ekf.x[0], sample[base.AY] - expected_ay, seen])[:rows]
+        innovation = np.array([sample[at.YAW_RATE] - ekf.x[0], sample[at.AY] - expected_ay, seen])[:rows]
         h_matrix = np.array([[1.0, 0.0, 0.0], [*jacobian[3], 0.0], [0.0, 1.0, 0.0]])[:rows]
-        fix = (noise.gnss_velocity * math.cos(ekf.x[1]) / sample[base.VX]) ** 2 + noise.heading**2
+        fix = (noise.gnss_velocity * math.cos(ekf.x[1]) / sample[at.VX]) ** 2 + noise.heading**2
         variance = np.diag([noise.yaw_rate**2, noise.ay**2, fix])[:rows, :rows]
         ekf.update(innovation, lambda _: h_matrix, lambda _: np.zeros(rows), R=variance)
         ekf.x[1] = min(max(ekf.x[1], -MAX_BETA), MAX_BETA)

@@ -15,6 +15,7 @@ from filterpy.kalman import ExtendedKalmanFilter, KalmanFilter
 from filterpy.monte_carlo import systematic_resample
 
 from crosscomb.filters import base
+from crosscomb.filters import columns as at
 from crosscomb.filters.base import Estimate, Inputs
 from crosscomb.filters.kinematic.kf import (
     MOST_ACCEL,
@@ -46,14 +47,14 @@ class BiasedKalman(KalmanFilter):
 
     def begin(self, sample: np.ndarray, beta: float, beta_std: float) -> None:
         """Start the motion on a sample."""
-        vx = sample[base.VX]
+        vx = sample[at.VX]
         self.x[:2] = [[vx], [vx * math.tan(beta)]]
         self.P[:2, :] = self.P[:, :2] = 0.0
         self.P[0, 0], self.P[1, 1] = self.noise.speed**2, (vx * beta_std) ** 2
 
     def move(self, sample: np.ndarray) -> None:
         """Predict over a sample."""
-        ax, ay, yaw_rate = sample[[base.AX, base.AY, base.YAW_RATE]].tolist()
+        ax, ay, yaw_rate = sample[[at.AX, at.AY, at.YAW_RATE]].tolist()
         known = abs(ax) < MOST_ACCEL and abs(ay) < MOST_ACCEL and abs(yaw_rate) < MOST_YAW_RATE
         if not known:
             ax, ay, yaw_rate = 0.0, 0.0, 0.0
@@ -74,10 +75,10 @@ class BiasedKalman(KalmanFilter):
 
     def measure_speed(self, sample: np.ndarray) -> float:
         """Update with vx, where it is there; give its NIS."""
-        if sample[base.VX_HELD]:
+        if sample[at.VX_HELD]:
             self.x[0] = max(self.x[0], MIN_SPEED)
             return math.nan
-        return self.measure([1.0, 0.0], sample[base.VX], self.noise.speed**2)
+        return self.measure([1.0, 0.0], sample[at.VX], self.noise.speed**2)
 
     def limit_slip(self) -> None:
         """Hold the velocity inside its bounds."""
@@ -162,23 +163,23 @@ def reference_dynamic_ekf(estimator: DynamicEKF, inputs: Inputs) -> Estimate:
         ekf.x[1] = min(max(ekf.x[1], -base.MAX_BETA), base.MAX_BETA)
 
     def start(sample: np.ndarray, beta: float, beta_std: float) -> None:
-        ekf.x = np.array([np.nan_to_num(sample[base.YAW_RATE]), beta])
+        ekf.x = np.array([np.nan_to_num(sample[at.YAW_RATE]), beta])
         ekf.P = np.diag([noise.yaw_rate**2, beta_std**2])
 
     def step(sample: np.ndarray) -> tuple[float, ...]:
-        steps = stable_substeps(sample[base.VX], inputs.dt, car)
+        steps = stable_substeps(sample[at.VX], inputs.dt, car)
         h = inputs.dt / steps
-        wrong_force = noise.missing_steer * sample[base.STEER_HELD] * car.stiffness_front
+        wrong_force = noise.missing_steer * sample[at.STEER_HELD] * car.stiffness_front
         ekf.Q = h * density
         if wrong_force > 0.0:
-            wrong = wrong_force * np.array([car.a / car.yaw_inertia, 1.0 / (car.mass * sample[base.VX])])
+            wrong = wrong_force * np.array([car.a / car.yaw_inertia, 1.0 / (car.mass * sample[at.VX])])
             ekf.Q += h * np.outer(wrong, wrong)
         for _ in range(steps):
             rates, _, jacobian = model(sample)
             ekf.F = np.eye(2) + h * jacobian[:2]
             ekf.predict(ekf.x + h * rates)
             hold_beta()
-        z = sample[[base.YAW_RATE, base.AY]]
+        z = sample[[at.YAW_RATE, at.AY]]
         there, innovations = np.isfinite(z), np.full(2, np.nan)
         if not there.any():
             return ekf.x[1], math.sqrt(ekf.P[1, 1]), math.nan, *innovations
@@ -215,9 +216,9 @@ def reference_random_walk_pf(estimator: RandomWalkPF, inputs: Inputs) -> Estimat
     x, weights = np.empty((6, n)), np.empty(n)
 
     def start(sample: np.ndarray, beta: float, beta_std: float) -> None:
-        yaw_rate, side = np.nan_to_num(sample[[base.YAW_RATE, base.AY]])
+        yaw_rate, side = np.nan_to_num(sample[[at.YAW_RATE, at.AY]])
         axles = car.mass * side * np.array([car.b, car.a]) / (car.a + car.b)
-        centre = np.array([yaw_rate, beta, sample[base.FXF], sample[base.FXR], *axles])
+        centre = np.array([yaw_rate, beta, sample[at.FXF], sample[at.FXR], *axles])
         half = scale * FIRST_SPREAD
         x[:] = rng.uniform((centre - half)[:, None], (centre + half)[:, None], (6, n))
         weights[:] = 1.0 / n
@@ -226,16 +227,16 @@ def reference_random_walk_pf(estimator: RandomWalkPF, inputs: Inputs) -> Estimat
         # Uniform noise of unit variance is sqrt(3) wide to either side.
         random = walk[:, None] * rng.uniform(-np.sqrt(3.0), np.sqrt(3.0), (6, n))
         x[2:] += random[2:]
-        steer, steer_rear = sample[[base.STEER, base.STEER_REAR]]
+        steer, steer_rear = sample[[at.STEER, at.STEER_REAR]]
         yaw_acceleration, beta_rate, ax, ay = body_rates.py_func(
-            x[2], x[3], x[4], x[5], sample[base.VX], x[0],
+            x[2], x[3], x[4], x[5], sample[at.VX], x[0],
             np.cos(steer), np.sin(steer), np.cos(steer_rear), np.sin(steer_rear), np.cos(x[1]), np.sin(x[1]),
             car.mass, car.yaw_inertia, car.a, car.b,
         )  # fmt: skip
         x[0] += dt * yaw_acceleration + random[0]
         x[1] = np.clip(x[1] + dt * beta_rate + random[1], -base.MAX_BETA, base.MAX_BETA)
-        measured = sample[[base.YAW_RATE, base.AX, base.AY, base.SAMPLE_WIDTH]]
-        slip_variance = (noise.pseudo**2 + min(sample[base.SAMPLE_WIDTH + 1], MOST_DOUBT) ** 2) / dt
+        measured = sample[[at.YAW_RATE, at.AX, at.AY, at.SAMPLE_WIDTH]]
+        slip_variance = (noise.pseudo**2 + min(sample[at.SAMPLE_WIDTH + 1], MOST_DOUBT) ** 2) / dt
         variances = np.array([noise.yaw_rate**2, noise.accel**2, noise.accel**2, slip_variance])
         misfit = 0.5 * (np.stack([x[0], ax, ay, x[1]]).T - measured) ** 2 / variances
         misfit[:, :3] = np.minimum(misfit[:, :3], FAR_OFF)
@@ -274,7 +275,7 @@ def _walk(
         rest()
         running = not base.below_gate(sample)
         if running:
-            start(sample, answer[base.BETA], answer[base.BETA_STD])
+            start(sample, answer[at.BETA], answer[at.BETA_STD])
     beta, beta_std, nis, *extra = out.T
     return Estimate(beta, beta_std, nis, dict(zip(extras, extra, strict=True)))
 

@@ -16,6 +16,7 @@ from filterpy.kalman import CubatureKalmanFilter, ExtendedKalmanFilter, Unscente
 from filterpy.kalman.CubatureKalmanFilter import spherical_radial_sigmas
 
 from crosscomb.filters import base
+from crosscomb.filters import columns as at
 from crosscomb.filters.base import Estimate, Inputs
 from crosscomb.filters.planar.ckf import HORIZON_PRIOR, CubatureRecedingHorizonKF, SqrtCubatureKF
 from crosscomb.filters.planar.ekf import FirstOrderEKF, IteratedEKF
@@ -245,7 +246,7 @@ def reference_receding_horizon(estimator: CubatureRecedingHorizonKF, inputs: Inp
             continue
         opening, answer, x, p = inputs.samples[first], np.empty(3), np.zeros(3), np.zeros((3, 3))
         base.low_speed_answer(opening, model.car, answer)
-        start(x, p, opening, answer[base.BETA], HORIZON_PRIOR, estimator.noise)
+        start(x, p, opening, answer[at.BETA], HORIZON_PRIOR, estimator.noise)
         for later in inputs.samples[first + 1 : k + 1]:
             model.set(later)
             x, p, nis = update(model, *predict(model, x, p))

@@ -10,6 +10,7 @@ import math
 import numpy as np
 
 from crosscomb.filters import base
+from crosscomb.filters import columns as at
 from crosscomb.filters.base import Estimate, Inputs
 from crosscomb.filters.random_walk.double_track_ekf import DoubleTrackRandomWalkEKF
 from crosscomb.filters.random_walk.ekf import RandomWalkEKF, friction_use
@@ -33,31 +34,31 @@ def reference_random_walk_ekf(estimator: RandomWalkEKF, inputs: Inputs) -> Estim
     ekf.Q = np.diag(density * dt)
 
     def start(sample: np.ndarray, beta: float, beta_std: float) -> None:
-        force = track.mass * np.nan_to_num(sample[base.AY]) / (track.a + track.b)
+        force = track.mass * np.nan_to_num(sample[at.AY]) / (track.a + track.b)
         ekf.x = np.array(
-            [np.nan_to_num(sample[base.YAW_RATE]), beta, sample[base.FXF], sample[base.FXR],
+            [np.nan_to_num(sample[at.YAW_RATE]), beta, sample[at.FXF], sample[at.FXR],
              force * track.b, force * track.a]
         )  # fmt: skip
         ekf.P = np.diag(np.square([noise.yaw_rate, beta_std, *[track.mass] * 4]))
 
     def step(sample: np.ndarray) -> tuple[float, float, float]:
-        given = (sample[base.VX], sample[base.STEER], sample[base.STEER_REAR], track)
+        given = (sample[at.VX], sample[at.STEER], sample[at.STEER_REAR], track)
         yaw_acceleration, beta_rate, _, _ = random_walk_rates(ekf.x, *given)
         random_walk_jacobian(ekf.x, *given, jacobian)
         ekf.F = np.eye(6)
         ekf.F[:2] += dt * jacobian[:2]
         ekf.predict(ekf.x + dt * np.array([yaw_acceleration, beta_rate, 0.0, 0.0, 0.0, 0.0]))
         h = np.vstack([np.eye(6)[0], jacobian[2:]])
-        z = sample[[base.YAW_RATE, base.AX, base.AY]]
+        z = sample[[at.YAW_RATE, at.AX, at.AY]]
         nis = ekf.measure(z, h @ ekf.x, h, np.square([noise.yaw_rate, noise.accel, noise.accel]))
         row = np.array([[0.0, 0.0, 1.0, -1.0, 0.0, 0.0]])
-        split = np.array([sample[base.FXF] - sample[base.FXR]])
+        split = np.array([sample[at.FXF] - sample[at.FXR]])
         ekf.measure(split, row @ ekf.x, row, np.array([(noise.split * track.mass) ** 2]))
         if estimator.slip_from == "linear":
-            use = friction_use(ekf.x[0], sample[base.VX], track)
+            use = friction_use(ekf.x[0], sample[at.VX], track)
             doubt = noise.slip + abs(ekf.x[5]) / track.stiffness_rear * use
-            row = np.array([[-track.b / sample[base.VX], 1.0, 0.0, 0.0, 0.0, 1.0 / track.stiffness_rear]])
-            ekf.measure(sample[[base.STEER_REAR]], row @ ekf.x, row, np.array([doubt**2 / dt]))
+            row = np.array([[-track.b / sample[at.VX], 1.0, 0.0, 0.0, 0.0, 1.0 / track.stiffness_rear]])
+            ekf.measure(sample[[at.STEER_REAR]], row @ ekf.x, row, np.array([doubt**2 / dt]))
         ekf.x[1] = np.clip(ekf.x[1], -base.MAX_BETA, base.MAX_BETA)
         return ekf.x[1], math.sqrt(ekf.P[1, 1]), nis
 
@@ -78,8 +79,8 @@ def reference_double_track_random_walk_ekf(estimator: DoubleTrackRandomWalkEKF, 
 
     def sums(sample: np.ndarray) -> np.ndarray:
         """Rows by which the wheel forces add to the force along, across, and the moment."""
-        ax, ay = np.nan_to_num(sample[[base.AX, base.AY]])
-        steer, steer_rear, fxf, fxr = sample[[base.STEER, base.STEER_REAR, base.FXF, base.FXR]].tolist()
+        ax, ay = np.nan_to_num(sample[[at.AX, at.AY]])
+        steer, steer_rear, fxf, fxr = sample[[at.STEER, at.STEER_REAR, at.FXF, at.FXR]].tolist()
         set_contacts(contact, steer, steer_rear, fxf, fxr, ax, ay, car)
         wheels = contact.wheels
         return np.stack([-wheels[:, SIN], wheels[:, COS], wheels[:, SIDE_ARM]])
@@ -94,8 +95,8 @@ def reference_double_track_random_walk_ekf(estimator: DoubleTrackRandomWalkEKF, 
 
     def start(sample: np.ndarray, beta: float, beta_std: float) -> None:
         sums(sample)
-        u = max(sample[base.VX], MIN_SPEED)
-        ekf.x = np.array([u, u * math.tan(beta), np.nan_to_num(sample[base.YAW_RATE]), 0.0, 0.0, 0.0, 0.0])
+        u = max(sample[at.VX], MIN_SPEED)
+        ekf.x = np.array([u, u * math.tan(beta), np.nan_to_num(sample[at.YAW_RATE]), 0.0, 0.0, 0.0, 0.0])
         ekf.P = axle_noise(car.mass**2)
         ekf.P[:3, :3] = np.diag(np.square([noise.speed, u * beta_std, noise.yaw_rate]))
 
@@ -115,8 +116,8 @@ def reference_double_track_random_walk_ekf(estimator: DoubleTrackRandomWalkEKF, 
         h[0, 0] = h[1, 2] = 1.0
         h[2, 3:] = rows[1] / car.mass
         expected = h @ ekf.x + [0.0, 0.0, contact.known[1] / car.mass]
-        z = sample[[base.VX, base.YAW_RATE, base.AY]]
-        if sample[base.VX_HELD]:
+        z = sample[[at.VX, at.YAW_RATE, at.AY]]
+        if sample[at.VX_HELD]:
             z[0] = math.nan
         if estimator.measured == "u_r":
             z[2] = math.nan
@@ -128,7 +129,7 @@ def reference_double_track_random_walk_ekf(estimator: DoubleTrackRandomWalkEKF, 
             [[(track.b * r - v) / u**2, 1.0 / u, -track.b / u, 0.0, 0.0, *[1.0 / track.stiffness_rear] * 2]]
         )
         expected = np.array([slip + (v - track.b * r) / u])
-        ekf.measure(sample[[base.STEER_REAR]], expected, row, np.array([doubt**2 / dt]))
+        ekf.measure(sample[[at.STEER_REAR]], expected, row, np.array([doubt**2 / dt]))
         ekf.x[0] = max(ekf.x[0], MIN_SPEED)
         u, v = ekf.x[:2]
         gradient = np.array([-v, u]) / (u**2 + v**2)

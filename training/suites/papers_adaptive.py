@@ -7,7 +7,6 @@ from typing import Any, NamedTuple
 import numpy as np
 import pandas as pd
 
-from crosscomb.filters import base
 from crosscomb.filters import columns as at
 from crosscomb.filters.base import Inputs, make_inputs
 from crosscomb.filters.catalogue import make_filter
@@ -30,7 +29,7 @@ RAMP_SECONDS = 60.0
 RAMP_END = 7.0
 """Lateral acceleration at which a ramp ends [m/s^2]."""
 
-RAMP_COLUMNS = (base.VX, base.AX, base.AY, base.YAW_RATE, base.STEER, base.FXR)
+RAMP_COLUMNS = (at.VX, at.AX, at.AY, at.YAW_RATE, at.STEER, at.FXR)
 
 RAMP_BAR = 0.5
 """Largest error of EKF+RW in the paper, noise left out [deg]."""
@@ -190,7 +189,7 @@ def ramp_steer(vehicle: Vehicle, speed: float, seed: int) -> tuple[Inputs, np.nd
     car, contact, substeps = planar_car(real, "double"), contacts(), 10
     n, h = int(RAMP_SECONDS * RATE), 1.0 / (RATE * substeps)
     samples, beta = np.zeros((n, at.SAMPLE_WIDTH)), np.empty(n)
-    samples[:, base.VFL :] = np.nan
+    samples[:, at.VFL :] = np.nan
     u, v, r, ax, ay = speed, 0.0, 0.0, 0.0, 0.0
     for k in range(n):
         # Straight for 5 s, then one road-wheel degree in 8 s.
@@ -201,7 +200,7 @@ def ramp_steer(vehicle: Vehicle, speed: float, seed: int) -> tuple[Inputs, np.nd
             u_dot, v_dot, r_dot, ax, ay = planar_rates(u, v, r, contact, car)
             u, v, r = u + h * u_dot, v + h * v_dot, r + h * r_dot
         beta[k] = np.arctan2(v, u)
-        samples[k, [base.VX, base.AX, base.AY, base.YAW_RATE, base.STEER, base.FXR]] = (
+        samples[k, [at.VX, at.AX, at.AY, at.YAW_RATE, at.STEER, at.FXR]] = (
             u,
             ax,
             ay,
@@ -213,7 +212,7 @@ def ramp_steer(vehicle: Vehicle, speed: float, seed: int) -> tuple[Inputs, np.nd
             break
     samples, beta = samples[: k + 1], beta[: k + 1]
     rng = np.random.default_rng(seed)
-    noise = {base.VX: 0.03, base.AX: 0.1, base.AY: 0.1, base.YAW_RATE: 0.003, base.STEER: 0.0005}
+    noise = {at.VX: 0.03, at.AX: 0.1, at.AY: 0.1, at.YAW_RATE: 0.003, at.STEER: 0.0005}
     for column, size in noise.items():
         samples[:, column] += size * rng.normal(size=len(samples))
     return Inputs(1.0 / RATE, samples), beta
