@@ -14,27 +14,27 @@ from speed_filters import KERNEL_STEPS, print_pairs, slalom, twin_pair
 
 from crosscomb.filters.base import Estimate
 from crosscomb.filters.catalogue import make_filter
-from crosscomb.filters.reference.adaptive import (
-    reference_dual_ekf,
-    reference_friction_adaptive_ekf,
-    reference_tyre_ekf,
+from crosscomb.filters.twins.adaptive import (
+    twin_dual_ekf,
+    twin_friction_adaptive_ekf,
+    twin_tyre_ekf,
 )
-from crosscomb.filters.reference.random_walk import (
-    reference_double_track_random_walk_ekf,
-    reference_random_walk_ekf,
+from crosscomb.filters.twins.random_walk import (
+    twin_double_track_random_walk_ekf,
+    twin_random_walk_ekf,
 )
 from crosscomb.models.vehicle import load_vehicle
 
 BAR = 200.0
 
 TWINS: dict[str, Callable[..., Estimate]] = {
-    "lint_ekf": reference_tyre_ekf,
-    "ratt_ekf": reference_tyre_ekf,
-    "ratte_ekf": reference_tyre_ekf,
-    "dual_ekf": reference_dual_ekf,
-    "friction_adaptive_ekf": reference_friction_adaptive_ekf,
-    "random_walk_ekf": reference_random_walk_ekf,
-    "double_track_random_walk_ekf": reference_double_track_random_walk_ekf,
+    "lint_ekf": twin_tyre_ekf,
+    "ratt_ekf": twin_tyre_ekf,
+    "ratte_ekf": twin_tyre_ekf,
+    "dual_ekf": twin_dual_ekf,
+    "friction_adaptive_ekf": twin_friction_adaptive_ekf,
+    "random_walk_ekf": twin_random_walk_ekf,
+    "double_track_random_walk_ekf": twin_double_track_random_walk_ekf,
 }
 
 

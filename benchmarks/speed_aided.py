@@ -16,19 +16,19 @@ from speed_filters import KERNEL_STEPS, print_pairs, slalom, twin_pair
 from crosscomb.filters import columns as at
 from crosscomb.filters.base import Estimate, Inputs
 from crosscomb.filters.catalogue import make_filter
-from crosscomb.filters.reference.aided import (
-    reference_gnss_dynamic_observer,
-    reference_gnss_kinematic_kf,
-    reference_zero_yaw_kf,
+from crosscomb.filters.twins.aided import (
+    twin_gnss_dynamic_observer,
+    twin_gnss_kinematic_kf,
+    twin_zero_yaw_kf,
 )
 from crosscomb.models.vehicle import Vehicle, load_vehicle
 
 BAR = 200.0
 
 TWINS: dict[str, Callable[..., Estimate]] = {
-    "kinematic_kf_zero_yaw": reference_zero_yaw_kf,
-    "gnss_kinematic_kf": reference_gnss_kinematic_kf,
-    "gnss_dynamic_observer": reference_gnss_dynamic_observer,
+    "kinematic_kf_zero_yaw": twin_zero_yaw_kf,
+    "gnss_kinematic_kf": twin_gnss_kinematic_kf,
+    "gnss_dynamic_observer": twin_gnss_dynamic_observer,
 }
 
 

@@ -28,8 +28,8 @@ from crosscomb.filters import columns as at
 from crosscomb.filters.base import Estimate, Inputs, KernelFilter
 from crosscomb.filters.kinematic.kf import KinematicKF
 from crosscomb.filters.random_walk.pf import FAR_OFF, FIRST_SPREAD, MOST_DOUBT, RandomWalkPF
-from crosscomb.filters.reference.basic import reference_dynamic_ekf, reference_kinematic_kf
 from crosscomb.filters.single_track.ekf import DynamicEKF
+from crosscomb.filters.twins.basic import twin_dynamic_ekf, twin_kinematic_kf
 from crosscomb.models.single_track import body_rates
 from crosscomb.models.vehicle import Vehicle, load_vehicle
 
@@ -181,9 +181,9 @@ def make_pairs(steps: int, particles: int) -> list[Pair]:
     few = Inputs(short.dt, short.samples[: max(steps // 20, 20)])
     ekf = DynamicEKF(vehicle, pf.noise.ekf).run(few)
     return [
-        twin_pair("kinematic KF", kf, reference_kinematic_kf, short, long, 300.0),
-        twin_pair("dynamic EKF, linear tyre", linear, reference_dynamic_ekf, short, long, 300.0),
-        twin_pair("dynamic EKF, Dugoff tyre", dugoff, reference_dynamic_ekf, short, long, 300.0),
+        twin_pair("kinematic KF", kf, twin_kinematic_kf, short, long, 300.0),
+        twin_pair("dynamic EKF, linear tyre", linear, twin_dynamic_ekf, short, long, 300.0),
+        twin_pair("dynamic EKF, Dugoff tyre", dugoff, twin_dynamic_ekf, short, long, 300.0),
         Pair(
             f"random-walk PF, {particles:,} particles",
             "numpy, vectorised",

@@ -18,29 +18,29 @@ from speed_filters import KERNEL_STEPS, Pair, print_pairs, slalom, twin_pair
 from crosscomb.filters import columns as at
 from crosscomb.filters.base import Estimate, Inputs
 from crosscomb.filters.catalogue import make_filter
-from crosscomb.filters.reference.planar import (
-    reference_cubature_kf,
-    reference_first_order_ekf,
-    reference_iterated_ekf,
-    reference_receding_horizon,
-    reference_second_order_ekf,
-    reference_ukf,
+from crosscomb.filters.twins.planar import (
+    twin_cubature_kf,
+    twin_first_order_ekf,
+    twin_iterated_ekf,
+    twin_receding_horizon,
+    twin_second_order_ekf,
+    twin_ukf,
 )
 from crosscomb.models.vehicle import Vehicle, load_vehicle
 
 EKF_BAR, UKF_BAR = 200.0, 100.0
 
 TWINS: dict[str, Callable[..., Estimate]] = {
-    "first_order_ekf": reference_first_order_ekf,
-    "double_track_ekf": reference_first_order_ekf,
-    "iterated_ekf": reference_iterated_ekf,
-    "second_order_ekf": reference_second_order_ekf,
-    "simple_ukf": reference_ukf,
-    "general_ukf": reference_ukf,
-    "simplex_ukf": reference_ukf,
-    "spherical_ukf": reference_ukf,
-    "sqrt_cubature_kf": reference_cubature_kf,
-    "cubature_receding_horizon_kf": reference_receding_horizon,
+    "first_order_ekf": twin_first_order_ekf,
+    "double_track_ekf": twin_first_order_ekf,
+    "iterated_ekf": twin_iterated_ekf,
+    "second_order_ekf": twin_second_order_ekf,
+    "simple_ukf": twin_ukf,
+    "general_ukf": twin_ukf,
+    "simplex_ukf": twin_ukf,
+    "spherical_ukf": twin_ukf,
+    "sqrt_cubature_kf": twin_cubature_kf,
+    "cubature_receding_horizon_kf": twin_receding_horizon,
 }
 
 
@@ -61,7 +61,7 @@ def make_pairs(steps: int) -> list[Pair]:
     pairs = []
     for name, twin in TWINS.items():
         ours, theirs = (few, few) if name == "cubature_receding_horizon_kf" else (long, short)
-        rival = "numpy" if twin in (reference_iterated_ekf, reference_second_order_ekf) else "filterpy"
+        rival = "numpy" if twin in (twin_iterated_ekf, twin_second_order_ekf) else "filterpy"
         bar = EKF_BAR if name.endswith("ekf") else UKF_BAR
         pairs.append(twin_pair(name, make_filter(name, vehicle), twin, theirs, ours, bar, rival))
     return pairs

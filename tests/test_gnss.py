@@ -14,9 +14,9 @@ from crosscomb.filters.kinematic.gnss_kf import (
     GnssKinematicNoise,
     wrap,
 )
-from crosscomb.filters.reference.aided import reference_gnss_dynamic_observer, reference_gnss_kinematic_kf
 from crosscomb.filters.single_track.ekf import DynamicEKF
 from crosscomb.filters.single_track.gnss_ekf import GnssDynamicNoise, GnssDynamicObserver
+from crosscomb.filters.twins.aided import twin_gnss_dynamic_observer, twin_gnss_kinematic_kf
 from crosscomb.logs.prepare import complete
 from crosscomb.models.kinematic import input_gain, rotation, slip_of_rolling_rear
 from crosscomb.models.single_track import single_track_rates, stable_substeps
@@ -59,7 +59,7 @@ def rmse(estimator: KernelFilter, inputs: Inputs, beta: np.ndarray, rows: slice 
     return float(np.degrees(np.sqrt(np.mean((estimator.run(inputs).beta - beta)[rows] ** 2))))
 
 
-TWINS = [reference_gnss_kinematic_kf, reference_gnss_dynamic_observer]
+TWINS = [twin_gnss_kinematic_kf, twin_gnss_dynamic_observer]
 
 
 @pytest.mark.parametrize("manoeuvre", ["slalom", "drift"])

@@ -51,13 +51,13 @@ from crosscomb.filters.planar.ukf import (
     spherical_points,
     update_by_points,
 )
-from crosscomb.filters.reference.planar import (
-    reference_cubature_kf,
-    reference_first_order_ekf,
-    reference_iterated_ekf,
-    reference_receding_horizon,
-    reference_second_order_ekf,
-    reference_ukf,
+from crosscomb.filters.twins.planar import (
+    twin_cubature_kf,
+    twin_first_order_ekf,
+    twin_iterated_ekf,
+    twin_receding_horizon,
+    twin_second_order_ekf,
+    twin_ukf,
 )
 from crosscomb.models.kinematic import slip_of_rolling_rear
 from crosscomb.models.planar import Contacts, PlanarCar, contacts, planar_rates, set_contacts
@@ -82,18 +82,18 @@ FILTERS: dict[str, PlanarFilter] = {
     "cubature_hybrid_kf": CubatureHybridKF(GOLF, horizon=0.05),
 }
 TWINS: dict[str, Callable[..., Estimate]] = {
-    "first_order_ekf": reference_first_order_ekf,
-    "double_track_ekf": reference_first_order_ekf,
-    "iterated_ekf": reference_iterated_ekf,
-    "second_order_ekf": reference_second_order_ekf,
-    "second_order_double_track": reference_second_order_ekf,
-    "simple_ukf": reference_ukf,
-    "general_ukf": reference_ukf,
-    "simplex_ukf": reference_ukf,
-    "spherical_ukf": reference_ukf,
-    "ukf_double_track": reference_ukf,
-    "sqrt_cubature_kf": reference_cubature_kf,
-    "cubature_receding_horizon_kf": reference_receding_horizon,
+    "first_order_ekf": twin_first_order_ekf,
+    "double_track_ekf": twin_first_order_ekf,
+    "iterated_ekf": twin_iterated_ekf,
+    "second_order_ekf": twin_second_order_ekf,
+    "second_order_double_track": twin_second_order_ekf,
+    "simple_ukf": twin_ukf,
+    "general_ukf": twin_ukf,
+    "simplex_ukf": twin_ukf,
+    "spherical_ukf": twin_ukf,
+    "ukf_double_track": twin_ukf,
+    "sqrt_cubature_kf": twin_cubature_kf,
+    "cubature_receding_horizon_kf": twin_receding_horizon,
 }
 each_filter = pytest.mark.parametrize("name", FILTERS)
 SIGMA_POINTS = {

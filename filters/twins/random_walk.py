@@ -1,6 +1,6 @@
 """The random-walk filters once more, slow and plain, on filterpy's ExtendedKalmanFilter.
 
-As `crosscomb.filters.reference.adaptive`; only tests and benchmarks use this module.
+As `crosscomb.filters.twins.adaptive`; only tests and benchmarks use this module.
 """
 
 from __future__ import annotations
@@ -14,13 +14,13 @@ from crosscomb.filters import columns as at
 from crosscomb.filters.base import Estimate, Inputs
 from crosscomb.filters.random_walk.double_track_ekf import DoubleTrackRandomWalkEKF
 from crosscomb.filters.random_walk.ekf import RandomWalkEKF, friction_use
-from crosscomb.filters.reference.adaptive import PlainEKF, walk_samples
+from crosscomb.filters.twins.adaptive import PlainEKF, walk_samples
 from crosscomb.models.planar import COS, PEAK, SIDE_ARM, SIN, contacts, set_contacts
 from crosscomb.models.random_walk import random_walk_jacobian, random_walk_rates
 from crosscomb.signals import MIN_SPEED
 
 
-def reference_random_walk_ekf(estimator: RandomWalkEKF, inputs: Inputs) -> Estimate:
+def twin_random_walk_ekf(estimator: RandomWalkEKF, inputs: Inputs) -> Estimate:
     """Estimate a log as `RandomWalkEKF.run` does with `slip_from` linear or free.
 
     Parameters
@@ -65,7 +65,7 @@ def reference_random_walk_ekf(estimator: RandomWalkEKF, inputs: Inputs) -> Estim
     return walk_samples(inputs, track, start, step)
 
 
-def reference_double_track_random_walk_ekf(estimator: DoubleTrackRandomWalkEKF, inputs: Inputs) -> Estimate:
+def twin_double_track_random_walk_ekf(estimator: DoubleTrackRandomWalkEKF, inputs: Inputs) -> Estimate:
     """Estimate a log as `DoubleTrackRandomWalkEKF.run` does, at the default settings or with `measured` u_r.
 
     Parameters

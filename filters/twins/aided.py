@@ -1,7 +1,7 @@
 """Aided kinematic and dynamic filters once more, slow and plain, on filterpy's classes.
 
 What the kernels of `kinematic_variants`, `gnss_kinematic` and `gnss_dynamic` are tested and timed against,
-as `crosscomb.filters.reference.basic` is for the first filters. All measurements of a sample update at once here,
+as `crosscomb.filters.twins.basic` is for the first filters. All measurements of a sample update at once here,
 unless they are linearised anew one after the other.
 """
 
@@ -15,8 +15,8 @@ from crosscomb.filters import columns as at
 from crosscomb.filters.base import MAX_BETA, Estimate, Inputs
 from crosscomb.filters.kinematic.gnss_kf import UNKNOWN_HEADING, GnssKinematicKF
 from crosscomb.filters.kinematic.kf_variants import LEAST_SHARE, ZeroYawKF
-from crosscomb.filters.reference.basic import BiasedKalman, _nis, _SingleTrackEKF, _walk, slip_of
 from crosscomb.filters.single_track.gnss_ekf import GnssDynamicObserver
+from crosscomb.filters.twins.basic import BiasedKalman, _nis, _SingleTrackEKF, _walk, slip_of
 from crosscomb.models.kinematic import input_gain, rotation
 from crosscomb.models.single_track import single_track_rates, stable_substeps
 
@@ -25,7 +25,7 @@ def _wrapped(angle: float) -> float:
     return (angle + math.pi) % (2.0 * math.pi) - math.pi
 
 
-def reference_zero_yaw_kf(estimator: ZeroYawKF, inputs: Inputs) -> Estimate:
+def twin_zero_yaw_kf(estimator: ZeroYawKF, inputs: Inputs) -> Estimate:
     """Estimate a log without gaps as `ZeroYawKF.run` does, with filterpy's KalmanFilter.
 
     Parameters
@@ -52,7 +52,7 @@ def reference_zero_yaw_kf(estimator: ZeroYawKF, inputs: Inputs) -> Estimate:
     return _walk(inputs, car, kf.begin, step, kf.rest)
 
 
-def reference_gnss_kinematic_kf(estimator: GnssKinematicKF, inputs: Inputs) -> Estimate:
+def twin_gnss_kinematic_kf(estimator: GnssKinematicKF, inputs: Inputs) -> Estimate:
     """Estimate a log without gaps or stops as `GnssKinematicKF.run` does, with filterpy's EKF.
 
     Parameters
@@ -120,7 +120,7 @@ def reference_gnss_kinematic_kf(estimator: GnssKinematicKF, inputs: Inputs) -> E
     return _walk(inputs, estimator.car, start, step)
 
 
-def reference_gnss_dynamic_observer(estimator: GnssDynamicObserver, inputs: Inputs) -> Estimate:
+def twin_gnss_dynamic_observer(estimator: GnssDynamicObserver, inputs: Inputs) -> Estimate:
     """Estimate a log without gaps as `GnssDynamicObserver.run` does, with filterpy's ExtendedKalmanFilter.
 
     Parameters

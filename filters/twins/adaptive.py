@@ -98,7 +98,7 @@ def _growth(variance: np.ndarray, limits: Limits, dt: float) -> np.ndarray:
     return np.clip(limits.spread**2 - variance, 0.0, limits.walk**2 * dt)
 
 
-def reference_tyre_ekf(estimator: RATT, inputs: Inputs) -> Estimate:
+def twin_tyre_ekf(estimator: RATT, inputs: Inputs) -> Estimate:
     """Estimate a log as LINT, RATT or RATTE do.
 
     Parameters
@@ -157,7 +157,7 @@ def reference_tyre_ekf(estimator: RATT, inputs: Inputs) -> Estimate:
     return walk_samples(inputs, car.track, start, step)
 
 
-def reference_dual_ekf(estimator: DualEKF, inputs: Inputs) -> Estimate:
+def twin_dual_ekf(estimator: DualEKF, inputs: Inputs) -> Estimate:
     """Estimate a log as `DualEKF.run` does, with two filters of filterpy, both measurements at once.
 
     Parameters
@@ -219,7 +219,7 @@ def reference_dual_ekf(estimator: DualEKF, inputs: Inputs) -> Estimate:
     return walk_samples(inputs, car.track, start, step)
 
 
-def reference_friction_adaptive_ekf(estimator: FrictionAdaptiveEKF, inputs: Inputs) -> Estimate:
+def twin_friction_adaptive_ekf(estimator: FrictionAdaptiveEKF, inputs: Inputs) -> Estimate:
     """Estimate a log as `FrictionAdaptiveEKF.run` does.
 
     Parameters

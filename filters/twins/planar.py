@@ -33,7 +33,7 @@ from crosscomb.filters.planar.shared import (
     substeps,
 )
 from crosscomb.filters.planar.ukf import SigmaPoints, SimpleUKF
-from crosscomb.filters.reference.basic import _walk
+from crosscomb.filters.twins.basic import _walk
 from crosscomb.models.planar import contacts, planar_hessian, planar_jacobian, planar_rates
 
 Belief = tuple[np.ndarray, np.ndarray]  # mean (3,) and covariance (3, 3)
@@ -94,7 +94,7 @@ class _Model:
         ]
 
 
-def reference_first_order_ekf(estimator: FirstOrderEKF, inputs: Inputs) -> Estimate:
+def twin_first_order_ekf(estimator: FirstOrderEKF, inputs: Inputs) -> Estimate:
     """Estimate a log as `FirstOrderEKF.run` does, with filterpy's ExtendedKalmanFilter."""
     ekf = _GivenPrediction(dim_x=3, dim_z=6)
 
@@ -124,7 +124,7 @@ class _GivenPrediction(ExtendedKalmanFilter):
         self.x = u
 
 
-def reference_iterated_ekf(estimator: IteratedEKF, inputs: Inputs) -> Estimate:
+def twin_iterated_ekf(estimator: IteratedEKF, inputs: Inputs) -> Estimate:
     """Estimate a log as `IteratedEKF.run` does, in plain numpy."""
 
     def predict(model: _Model, x: np.ndarray, p: np.ndarray) -> Belief:
@@ -152,7 +152,7 @@ def reference_iterated_ekf(estimator: IteratedEKF, inputs: Inputs) -> Estimate:
     return _run(estimator, inputs, predict, update)
 
 
-def reference_second_order_ekf(estimator: SecondOrderEKF, inputs: Inputs) -> Estimate:
+def twin_second_order_ekf(estimator: SecondOrderEKF, inputs: Inputs) -> Estimate:
     """Estimate a log as `SecondOrderEKF.run` does, in plain numpy (Simon 2006, section 13.3.2)."""
 
     def terms(hessians: np.ndarray, p: np.ndarray) -> Belief:
@@ -201,7 +201,7 @@ class _Points:
         return x + self.unit @ np.linalg.cholesky(p).T
 
 
-def reference_ukf(estimator: SimpleUKF, inputs: Inputs) -> Estimate:
+def twin_ukf(estimator: SimpleUKF, inputs: Inputs) -> Estimate:
     """Estimate a log as an unscented filter's `run` does, with filterpy's UnscentedKalmanFilter."""
     points = _Points(estimator.sigma_points())
     ukf = UnscentedKalmanFilter(3, 6, inputs.dt, None, None, points)
@@ -221,7 +221,7 @@ def reference_ukf(estimator: SimpleUKF, inputs: Inputs) -> Estimate:
     return _run(estimator, inputs, predict, update)
 
 
-def reference_cubature_kf(estimator: SqrtCubatureKF, inputs: Inputs) -> Estimate:
+def twin_cubature_kf(estimator: SqrtCubatureKF, inputs: Inputs) -> Estimate:
     """Estimate a log as `SqrtCubatureKF.run` does, with filterpy's CubatureKalmanFilter.
 
     filterpy keeps the predicted points for the update; here they are drawn anew, as Arasaratnam and Haykin
@@ -230,7 +230,7 @@ def reference_cubature_kf(estimator: SqrtCubatureKF, inputs: Inputs) -> Estimate
     return _run(estimator, inputs, *_cubature(inputs.dt))
 
 
-def reference_receding_horizon(estimator: CubatureRecedingHorizonKF, inputs: Inputs) -> Estimate:
+def twin_receding_horizon(estimator: CubatureRecedingHorizonKF, inputs: Inputs) -> Estimate:
     """Estimate a log as `CubatureRecedingHorizonKF.run` does, with filterpy's CubatureKalmanFilter."""
     predict, update = _cubature(inputs.dt)
     model = _Model(estimator, inputs.dt)

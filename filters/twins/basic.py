@@ -99,7 +99,7 @@ def slip_of(kf: KalmanFilter | ExtendedKalmanFilter) -> tuple[float, float]:
     return math.atan2(vy, vx), math.sqrt(gradient @ kf.P[:2, :2] @ gradient)
 
 
-def reference_kinematic_kf(estimator: KinematicKF, inputs: Inputs) -> Estimate:
+def twin_kinematic_kf(estimator: KinematicKF, inputs: Inputs) -> Estimate:
     """Estimate a log as `KinematicKF.run` does, with filterpy's KalmanFilter.
 
     Parameters
@@ -135,7 +135,7 @@ class _SingleTrackEKF(ExtendedKalmanFilter):
         self.x = u
 
 
-def reference_dynamic_ekf(estimator: DynamicEKF, inputs: Inputs) -> Estimate:
+def twin_dynamic_ekf(estimator: DynamicEKF, inputs: Inputs) -> Estimate:
     """Estimate a log as `DynamicEKF.run` does, with filterpy's ExtendedKalmanFilter.
 
     All measurements of a sample update at once here, one after the other in the kernel.
@@ -195,7 +195,7 @@ def reference_dynamic_ekf(estimator: DynamicEKF, inputs: Inputs) -> Estimate:
     return _walk(inputs, car, start, step, extras=estimator.extras)
 
 
-def reference_random_walk_pf(estimator: RandomWalkPF, inputs: Inputs) -> Estimate:
+def twin_random_walk_pf(estimator: RandomWalkPF, inputs: Inputs) -> Estimate:
     """Estimate a log with the model and noise of `RandomWalkPF`, in plain numpy with filterpy's resampling.
 
     The random numbers are others than the kernel's, so the two agree within the scatter of their seeds.
@@ -207,7 +207,7 @@ def reference_random_walk_pf(estimator: RandomWalkPF, inputs: Inputs) -> Estimat
     inputs : Inputs
     """
     noise, car, dt, n = estimator.noise, estimator.car, inputs.dt, estimator.particles
-    ekf = reference_dynamic_ekf(DynamicEKF(estimator.vehicle, noise.ekf, estimator.tyre), inputs)
+    ekf = twin_dynamic_ekf(DynamicEKF(estimator.vehicle, noise.ekf, estimator.tyre), inputs)
     inputs = Inputs(dt, np.column_stack([inputs.samples, ekf.beta, ekf.beta_std]))
     np.random.seed(estimator.seed)  # noqa: NPY002
     rng = np.random.default_rng(estimator.seed)
