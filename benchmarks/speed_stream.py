@@ -2,7 +2,7 @@
 
     python benchmarks/speed_stream.py [--selector-file ARTEFACT.json] [--steps 6000]
 
-All of the artefact's filters run, the particle filter with 1,000 particles, with completion, resampling, windows,
+All of the artefact's filters run, the particle filter with 1,000 particles, with completion, the grid, windows,
 selector and switch. CPU time is that of this thread; wall time also holds what the machine did meanwhile.
 """
 

@@ -10,9 +10,9 @@ from crosscomb.errors import UsageError
 from crosscomb.filters import columns as at
 from crosscomb.filters.base import make_inputs
 from crosscomb.filters.catalogue import CATALOGUE, make_filter, settings_of
+from crosscomb.logs.grid import to_grid
 from crosscomb.logs.prepare import complete
 from crosscomb.logs.read import read_log
-from crosscomb.logs.resample import resample
 from crosscomb.models.vehicle import load_vehicle
 from crosscomb.signals import MIN_SPEED
 from crosscomb.training.simulation.simulate import simulate_log
@@ -34,7 +34,7 @@ def quick(name, car=CAR):
 def inputs():
     """Samples of a lively log with holes in every channel, a stop and a start."""
     log = complete(simulate_log(CAR, "double_lane_change", seed=5, surface="wet", duration=12.0), CAR)
-    samples = make_inputs(resample(log, 100.0)[0].signals, CAR, 0.01)
+    samples = make_inputs(to_grid(log, 100.0)[0].signals, CAR, 0.01)
     table = samples.samples.copy()
     rng = np.random.default_rng(1)
     for column in (1, 2, 3):  # ax, ay, yaw rate
@@ -140,7 +140,7 @@ def test_all_are_bounded_on_every_real_recording(data_dir):
     """Finite everywhere; no estimator runs away: RMSE below 30 deg where beta itself stays below 20 deg."""
     for path, car in real_logs(data_dir):
         signals = complete(read_log(path), car)
-        for segment in resample(signals, 100.0):
+        for segment in to_grid(signals, 100.0):
             window = slice(0, 6000)  # a minute tells; the longest log has six
             inputs = make_inputs(segment.signals, car, 0.01)
             inputs = replace(inputs, samples=inputs.samples[window])

@@ -10,8 +10,8 @@ import pytest
 
 from crosscomb.filters import catalogue
 from crosscomb.filters.base import make_inputs
+from crosscomb.logs.grid import to_grid
 from crosscomb.logs.prepare import complete
-from crosscomb.logs.resample import resample
 from crosscomb.models.vehicle import load_vehicle
 from crosscomb.run.estimate import estimate_log
 from crosscomb.selection.artefact import load_artefact
@@ -41,7 +41,7 @@ def test_example_is_short_and_estimates_steady_cornering(example):
     assert len([line for line in BLOCKS[0].splitlines() if line.strip()]) <= 40
     car = load_vehicle("generic_compact")
     log = simulate_log(car, "circle", seed=3, duration=20.0, spread=False, faults=False)
-    segment = resample(complete(log, car), 100.0)[0].signals
+    segment = to_grid(complete(log, car), 100.0)[0].signals
     estimator = catalogue.make_filter(example, car)
     inputs = make_inputs(segment, car, 0.01)
     estimate = estimator.run(inputs)

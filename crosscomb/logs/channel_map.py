@@ -13,8 +13,8 @@ import pandas as pd
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from crosscomb.errors import UsageError
+from crosscomb.logs.grid import MAX_AGE
 from crosscomb.logs.prepare import causal_slope
-from crosscomb.logs.resample import MAX_AGE
 from crosscomb.models.vehicle import describe
 from crosscomb.signals import GRAVITY, REFERENCES, UNITS, Signals, make_signals
 

@@ -7,7 +7,7 @@ from typing import Literal
 
 import numpy as np
 
-from crosscomb.logs.resample import MAX_AGE, MAX_GAP
+from crosscomb.logs.grid import MAX_AGE, MAX_GAP
 from crosscomb.signals import MIN_SPEED, REFERENCES, UNITS, Signals
 
 STUCK_TIME = 10.0

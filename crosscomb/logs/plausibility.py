@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from crosscomb.logs.gaps import Finding, check_coverage
-from crosscomb.logs.resample import resample
+from crosscomb.logs.grid import to_grid
 from crosscomb.logs.unit_faults import Fault, Tie, explain, findings_of, sign_fault, unit_fault
 from crosscomb.models.vehicle import Vehicle
 from crosscomb.signals import GRAVITY, UNITS, WHEEL_SPEEDS, Signals
@@ -80,7 +80,7 @@ def _check_time_unit(signals: Signals) -> list[Finding]:
 def _smoothed(signals: Signals) -> dict[str, np.ndarray]:
     """Low-passed channels on a regular grid, with the rates of vx and of vy = vx * beta_ref."""
     parts = []
-    for segment in resample(signals, RATE):
+    for segment in to_grid(signals, RATE):
         if len(segment.signals) < 2 * SMOOTHING:
             continue
         part = {name: _moving_average(segment.signals.column(name)) for name in UNITS if name != "t"}

@@ -14,10 +14,10 @@ from crosscomb.files import refuse_overwriting, write_text
 from crosscomb.filters.base import Inputs, KernelFilter, make_inputs
 from crosscomb.filters.catalogue import CATALOGUE
 from crosscomb.logs.channel_map import ChannelMap
+from crosscomb.logs.grid import Segment, to_grid
 from crosscomb.logs.plausibility import check_units
 from crosscomb.logs.prepare import complete
 from crosscomb.logs.read import log_name, read_log
-from crosscomb.logs.resample import Segment, resample
 from crosscomb.models.vehicle import Vehicle, load_vehicle
 from crosscomb.run.drive import next_seen, start_drive
 from crosscomb.run.stream import LogEstimate, Stream, advance, make_plan, to_estimate
@@ -108,7 +108,7 @@ def run_filters(
     window : WindowSettings
     """
     runs = []
-    for segment in resample(signals, rate):
+    for segment in to_grid(signals, rate):
         seen = next_seen(start_drive(vehicle, filters, rate, window), segment.signals.rows())
         runs.append(FilterRun(segment, *seen[1:], seen.inputs, vehicle))
     return runs
@@ -179,7 +179,7 @@ def extra_outputs(
             f"{', '.join(others)}"
         )
     signals, parts = complete(signals, vehicle), []
-    for segment in resample(signals, artefact.rate):
+    for segment in to_grid(signals, artefact.rate):
         inputs = make_inputs(segment.signals, vehicle, 1.0 / artefact.rate)
         columns = {"t": signals.t[segment.start_row : segment.stop_row]}
         for name, made in telling.items():

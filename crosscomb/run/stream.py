@@ -13,8 +13,8 @@ import pandas as pd
 
 from crosscomb.errors import UsageError
 from crosscomb.filters.base import KernelFilter
+from crosscomb.logs.grid import MAX_GAP, Grid, next_points, start_grid, stretch_starts
 from crosscomb.logs.prepare import Completion, next_rows
-from crosscomb.logs.resample import MAX_GAP, Grid, next_points, start_grid, stretch_starts
 from crosscomb.models.vehicle import Vehicle
 from crosscomb.run.drive import Drive, Seen, make_filters, name_filters, next_seen, start_drive
 from crosscomb.run.handling import STATES, Handling, HandlingState, handling_of, start_handling

@@ -19,8 +19,8 @@ from sklearn.neural_network import MLPRegressor
 from crosscomb.errors import UsageError
 from crosscomb.filters.base import MAX_BETA, Inputs, make_inputs
 from crosscomb.filters.learned import COLUMNS, FEEDBACK_DELAY, FeedbackNetwork, Network, NeuralNetwork
+from crosscomb.logs.grid import to_grid
 from crosscomb.logs.prepare import complete
-from crosscomb.logs.resample import resample
 from crosscomb.models.vehicle import load_vehicle
 from crosscomb.training.metrics import countable
 from crosscomb.training.recordings import Recording
@@ -51,7 +51,7 @@ LOGS = 12
 
 def segments(recording: Recording, rate: float) -> Iterator[tuple[Inputs, np.ndarray, np.ndarray]]:
     """Samples of a recording as filters take them, the true beta ``(n,) [rad]`` and which of them count."""
-    for segment in resample(recording.signals, rate):
+    for segment in to_grid(recording.signals, rate):
         inputs = make_inputs(segment.signals, recording.vehicle, 1.0 / rate)
         beta = segment.signals.beta_ref
         yield inputs, beta, countable(beta, segment.signals.column("vx"))

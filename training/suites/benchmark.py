@@ -13,7 +13,7 @@ import pandas as pd
 
 from crosscomb.errors import UsageError
 from crosscomb.filters.base import make_inputs
-from crosscomb.logs.resample import resample
+from crosscomb.logs.grid import to_grid
 from crosscomb.models.vehicle import load_vehicle
 from crosscomb.run.drive import make_filters
 from crosscomb.selection.artefact import Artefact, FilterSettings
@@ -130,7 +130,7 @@ def filter_speeds(
     """Time of each filter per sample [us], the best of some runs over a simulated minute."""
     vehicle = load_vehicle("generic_compact")
     signals = simulate_log(vehicle, "slalom", seed=1, duration=60.0)
-    segment = resample(signals, artefact.rate)[0]
+    segment = to_grid(signals, artefact.rate)[0]
     inputs = make_inputs(segment.signals, vehicle, 1.0 / artefact.rate)
     speeds = {}
     entries = [*artefact.filters, *filters]

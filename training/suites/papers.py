@@ -12,8 +12,8 @@ import pandas as pd
 
 from crosscomb.filters.base import make_inputs
 from crosscomb.filters.catalogue import make_filter
+from crosscomb.logs.grid import to_grid
 from crosscomb.logs.prepare import complete
-from crosscomb.logs.resample import resample
 from crosscomb.models.vehicle import load_vehicle
 from crosscomb.run.estimate import estimate_log
 from crosscomb.selection.artefact import load_artefact
@@ -59,7 +59,7 @@ def d_inverno_tables() -> tuple[PaperTable, PaperTable]:
     pace: dict[str, dict[str, float]] = {name: {} for name in D_INVERNO}
     for test, manoeuvre in KART_TESTS.items():
         signals = complete(simulate_log(car, manoeuvre, (2021, len(test), ord(test[-1])), duration=40.0), car)
-        segment = resample(signals, RATE)[0].signals
+        segment = to_grid(signals, RATE)[0].signals
         inputs = make_inputs(segment, car, 1.0 / RATE)
         counted = countable(segment.beta_ref, segment.column("vx"))
         for name, (key, settings) in D_INVERNO.items():

@@ -10,8 +10,8 @@ import pandas as pd
 from crosscomb.filters import columns as at
 from crosscomb.filters.base import Inputs, make_inputs
 from crosscomb.filters.catalogue import make_filter
+from crosscomb.logs.grid import to_grid
 from crosscomb.logs.prepare import complete
-from crosscomb.logs.resample import resample
 from crosscomb.models.planar import contacts, planar_car, planar_rates, set_contacts
 from crosscomb.models.vehicle import Vehicle, load_vehicle
 from crosscomb.signals import MIN_SPEED
@@ -108,7 +108,7 @@ def _score_truck(truck: Vehicle, manoeuvre: str, seed: tuple[int, ...], duration
     """RMSE [deg] of each filter on one log above the low-speed gate."""
     log = complete(simulate_log(truck, manoeuvre, seed, friction=0.9, duration=duration), truck)
     errors: dict[str, list[np.ndarray]] = {name: [] for name in TRUCK_FILTERS}
-    for segment in resample(log, RATE):
+    for segment in to_grid(log, RATE):
         inputs = make_inputs(segment.signals, truck, 1.0 / RATE)
         reference = segment.signals.beta_ref
         counted = np.isfinite(reference) & (segment.signals.column("vx") > MIN_SPEED)

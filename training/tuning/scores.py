@@ -10,7 +10,7 @@ import numpy as np
 from crosscomb.errors import UsageError
 from crosscomb.filters.base import Inputs, KernelFilter, make_inputs
 from crosscomb.filters.catalogue import make_filter
-from crosscomb.logs.resample import resample
+from crosscomb.logs.grid import to_grid
 from crosscomb.models.vehicle import Vehicle
 from crosscomb.selection.artefact import FilterSettings
 from crosscomb.training.metrics import countable
@@ -61,7 +61,7 @@ def prepare(
     logs = []
     for recording in recordings:
         stretches, left = [], longest
-        for segment in resample(recording.signals, rate):
+        for segment in to_grid(recording.signals, rate):
             beta_ref, vx = segment.signals.beta_ref, segment.signals.column("vx")
             inputs = make_inputs(segment.signals, recording.vehicle, 1.0 / rate)
             counted = countable(np.zeros_like(vx) if by == LIKELIHOOD else beta_ref, vx)

@@ -173,7 +173,7 @@ def _close_point(state, rate, tolerance, once, out):
         state.counts[j], state.sums[j] = 0, 0.0
 
 
-def resample(signals: Signals, rate: float) -> list[Segment]:
+def to_grid(signals: Signals, rate: float) -> list[Segment]:
     """Bring a log to a regular working rate, causally.
 
     A channel's value at grid point t_k is the mean of its samples in (t_{k-1}, t_k] (this damps what a lower
@@ -198,7 +198,7 @@ def resample(signals: Signals, rate: float) -> list[Segment]:
     """
     starts = stretch_starts(signals.t)
     stops = [*starts[1:], len(signals)]
-    return [_resample_stretch(signals, start, stop, rate) for start, stop in zip(starts, stops, strict=True)]
+    return [_stretch_to_grid(signals, start, stop, rate) for start, stop in zip(starts, stops, strict=True)]
 
 
 def stretch_starts(t: np.ndarray, before: float = -math.inf) -> list[int]:
@@ -206,7 +206,7 @@ def stretch_starts(t: np.ndarray, before: float = -math.inf) -> list[int]:
     return np.flatnonzero(np.diff(t, prepend=before) > MAX_GAP).tolist()
 
 
-def _resample_stretch(signals: Signals, start: int, stop: int, rate: float) -> Segment:
+def _stretch_to_grid(signals: Signals, start: int, stop: int, rate: float) -> Segment:
     names = [str(name) for name in signals.frame.columns if name != "t"]
     rows = np.column_stack([signals.column(name)[start:stop] for name in names])
     grid = start_grid(float(signals.t[start]), rate, names)

@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from crosscomb.logs.grid import MAX_AGE, MAX_GAP, to_grid
 from crosscomb.logs.read import read_log
-from crosscomb.logs.resample import MAX_AGE, MAX_GAP, resample
 from crosscomb.signals import Signals
 
 
@@ -36,7 +36,7 @@ def test_log_at_the_working_rate_passes_bit_for_bit(start: float) -> None:
     ay = np.random.default_rng(0).normal(size=1000)
     ay[::7] = np.nan
     log = make_log(t, ay=ay, beta_ref=ay[::-1])
-    (segment,) = resample(log, 100.0)
+    (segment,) = to_grid(log, 100.0)
     assert len(segment.signals) == 1000
     pd.testing.assert_frame_equal(
         segment.signals.frame.drop(columns="t"), log.frame.drop(columns="t"), check_exact=True
@@ -63,7 +63,7 @@ def test_later_rows_never_change_earlier_grid_points(seed: int, cut: int, rate: 
 
 
 def grid(log: Signals, rate: float) -> pd.DataFrame:
-    return pd.concat([segment.signals.frame for segment in resample(log, rate)], ignore_index=True)
+    return pd.concat([segment.signals.frame for segment in to_grid(log, rate)], ignore_index=True)
 
 
 @settings(max_examples=30, deadline=None)
@@ -71,7 +71,7 @@ def grid(log: Signals, rate: float) -> pd.DataFrame:
 def test_every_grid_value_comes_from_fresh_samples_of_its_own_segment(seed: int, rate: float) -> None:
     log = random_log(seed)
     stop = 0
-    for segment in resample(log, rate):
+    for segment in to_grid(log, rate):
         assert segment.start_row == stop
         stop = segment.stop_row
         rows = slice(segment.start_row, segment.stop_row)
@@ -90,7 +90,7 @@ def test_every_grid_value_comes_from_fresh_samples_of_its_own_segment(seed: int,
 
 def test_faster_log_is_averaged_over_the_step_but_its_truth_is_not() -> None:
     t = np.arange(0, 41) / 1000.0
-    (segment,) = resample(make_log(t, ay=t, beta_ref=t), 100.0)
+    (segment,) = to_grid(make_log(t, ay=t, beta_ref=t), 100.0)
     assert segment.signals.t.tolist() == [0.0, 0.01, 0.02, 0.03, 0.04]
     np.testing.assert_allclose(segment.signals.column("ay")[1:], [0.0055, 0.0155, 0.0255, 0.0355])
     assert segment.signals.column("beta_ref").tolist() == [0.0, 0.01, 0.02, 0.03, 0.04]
@@ -100,13 +100,13 @@ def test_slower_log_is_held_until_its_next_row_but_its_truth_is_not() -> None:
     log = make_log(
         np.array([0.0, 0.02, 0.04]), ay=np.array([1.0, 2.0, 3.0]), beta_ref=np.array([4.0, 5.0, 6.0])
     )
-    (segment,) = resample(log, 100.0)
+    (segment,) = to_grid(log, 100.0)
     assert segment.signals.column("ay").tolist() == [1.0, 1.0, 2.0, 2.0, 3.0]
     np.testing.assert_array_equal(segment.signals.column("beta_ref"), [4.0, np.nan, 5.0, np.nan, 6.0])
 
 
 def test_silence_is_bridged_for_a_moment_only() -> None:
-    (segment,) = resample(make_log(np.array([0.0, 0.01, 0.5]), ay=np.array([1.0, 2.0, 3.0])), 100.0)
+    (segment,) = to_grid(make_log(np.array([0.0, 0.01, 0.5]), ay=np.array([1.0, 2.0, 3.0])), 100.0)
     ay = segment.signals.column("ay")
     assert np.all(ay[1:12] == 2.0)  # until it is MAX_AGE old
     assert np.all(np.isnan(ay[12:50]))
@@ -116,7 +116,7 @@ def test_silence_is_bridged_for_a_moment_only() -> None:
 def test_slow_channel_among_fast_ones_is_held_until_it_is_due_and_a_hole_is_not_filled() -> None:
     t = np.arange(12) / 100.0
     slow = np.array([1.0, np.nan, 2.0, np.nan, 3.0, np.nan, np.nan, np.nan, np.nan, 4.0, 5.0, np.nan])
-    (segment,) = resample(make_log(t, vx=slow), 100.0)
+    (segment,) = to_grid(make_log(t, vx=slow), 100.0)
     nan = np.nan
     expected = [1.0, nan, 2.0, 2.0, 3.0, 3.0, nan, nan, nan, 4.0, 5.0, nan]
     np.testing.assert_array_equal(segment.signals.column("vx"), expected)
@@ -124,7 +124,7 @@ def test_slow_channel_among_fast_ones_is_held_until_it_is_due_and_a_hole_is_not_
 
 def test_long_gap_starts_a_new_segment() -> None:
     t = np.array([0.0, 0.01, 0.02, 1.5, 1.51, 9.0])
-    segments = resample(make_log(t, ay=np.arange(6.0)), 100.0)
+    segments = to_grid(make_log(t, ay=np.arange(6.0)), 100.0)
     assert [(segment.start_row, segment.stop_row) for segment in segments] == [(0, 3), (3, 5), (5, 6)]
     assert [segment.signals.t[0] for segment in segments] == [0.0, 1.5, 9.0]
     assert [len(segment.signals) for segment in segments] == [3, 2, 1]
@@ -132,14 +132,14 @@ def test_long_gap_starts_a_new_segment() -> None:
 
 def test_rows_between_grid_points_belong_to_the_older_one() -> None:
     t = np.array([0.0, 0.004, 0.011, 0.0199999, 0.02, 0.025])
-    (segment,) = resample(make_log(t, ay=t), 100.0)
+    (segment,) = to_grid(make_log(t, ay=t), 100.0)
     assert segment.newest.tolist() == [0, 0, 1, 1, 2, 2]
 
 
 def test_real_logs_at_their_own_rate_are_unchanged(data_dir: Path) -> None:
     for name, rate in (("kth_volvo_s90/slalom_30kph", 100.0), ("stanford_gti_2019/low_speed", 200.0)):
         log = read_log(data_dir / f"{name}.csv")
-        (segment,) = resample(log, rate)
+        (segment,) = to_grid(log, rate)
         pd.testing.assert_frame_equal(segment.signals.frame, log.frame, check_exact=True)
 
 
@@ -147,6 +147,6 @@ def test_a_grid_point_is_closed_by_the_first_row_that_reaches_it() -> None:
     """Two rows a nanosecond apart, both on the grid point within rounding: the later one changes nothing."""
     t = np.array([0.0, 0.01 - 1e-9, 0.01 + 1e-9, 0.02])
     log = make_log(t, ay=np.array([0.0, 1.0, 3.0, 5.0]))
-    (segment,) = resample(log, 100.0)
+    (segment,) = to_grid(log, 100.0)
     assert segment.newest.tolist() == [0, 1, 1, 2]
     assert segment.signals.column("ay").tolist() == [0.0, 1.0, 4.0]
