@@ -23,7 +23,7 @@ from crosscomb.selection.windows import WindowSettings
 
 SCHEMA_VERSION = 4
 
-SHIPPED = ("reference", "hybrid")
+SHIPPED = ("tree", "hybrid")
 """Artefacts that come with the package: the default tree, and the learned correction."""
 
 
@@ -134,7 +134,7 @@ def load_artefact(path: str | Path | None = None) -> Artefact:
     UsageError
         The file is missing, no JSON, of another schema version, or unsound.
     """
-    path = Path("reference" if path is None else path)
+    path = Path("tree" if path is None else path)
     if str(path) in SHIPPED:
         entry = resources.files("crosscomb") / "data" / f"{path}.json"
         return parse_artefact(entry.read_text(encoding="utf-8"), entry.name)
