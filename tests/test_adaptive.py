@@ -15,11 +15,7 @@ from crosscomb.filters.catalogue import CATALOGUE, make_filter, settings_of
 from crosscomb.filters.single_track.dual_ekf import DualEKF, DualNoise
 from crosscomb.filters.single_track.friction_ekf import FrictionAdaptiveEKF, FrictionNoise
 from crosscomb.filters.single_track.tyre_ekf import LINT, RATES, RATT, RATTE, TyreNoise
-from crosscomb.filters.twins.adaptive import (
-    twin_dual_ekf,
-    twin_friction_adaptive_ekf,
-    twin_tyre_ekf,
-)
+from crosscomb.filters.twins.table import TWINS
 from crosscomb.models import parameter_track as track_model
 from crosscomb.models.single_track import SingleTrack, single_track
 from crosscomb.models.vehicle import load_vehicle
@@ -27,13 +23,6 @@ from crosscomb.models.vehicle import load_vehicle
 GOLF = load_vehicle("golf_gti_2018")
 DT = 0.01
 NAMES = ("lint_ekf", "ratt_ekf", "ratte_ekf", "dual_ekf", "friction_adaptive_ekf")
-TWINS = {
-    "lint_ekf": twin_tyre_ekf,
-    "ratt_ekf": twin_tyre_ekf,
-    "ratte_ekf": twin_tyre_ekf,
-    "dual_ekf": twin_dual_ekf,
-    "friction_adaptive_ekf": twin_friction_adaptive_ekf,
-}
 LAW_OF = {"lint_ekf": "linear", "ratt_ekf": "rational", "ratte_ekf": "rational", "dual_ekf": "rational"}
 
 

@@ -21,11 +21,7 @@ from crosscomb.filters.random_walk.pf import (
     sin_cos,
 )
 from crosscomb.filters.single_track.ekf import DynamicEKF, DynamicNoise
-from crosscomb.filters.twins.basic import (
-    twin_dynamic_ekf,
-    twin_kinematic_kf,
-    twin_random_walk_pf,
-)
+from crosscomb.filters.twins.table import TWINS
 from crosscomb.models.kinematic import input_gain, rotation, slip_of_rolling_rear
 from crosscomb.models.random_walk import random_walk_rates
 from crosscomb.models.single_track import FRICTION_MARGIN, single_track, single_track_rates, stable_substeps
@@ -144,10 +140,10 @@ each_drive = pytest.mark.parametrize("inputs_of", ["clean", "noisy", "with gaps"
 def test_kalman_kernels_agree_with_filterpy(name: str, inputs_of: str) -> None:
     estimator, inputs = FILTERS[name], drive(inputs_of)
     if isinstance(estimator, KinematicKF):
-        expected = twin_kinematic_kf(estimator, inputs)
+        expected = TWINS["kinematic_kf"](estimator, inputs)
     else:
         assert isinstance(estimator, DynamicEKF)
-        expected = twin_dynamic_ekf(estimator, inputs)
+        expected = TWINS["dynamic_ekf"](estimator, inputs)
     estimate = estimator.run(inputs)
     np.testing.assert_allclose(estimate.beta, expected.beta, rtol=0.0, atol=1e-9)
     np.testing.assert_allclose(estimate.beta_std, expected.beta_std, rtol=0.0, atol=1e-9)
@@ -191,7 +187,7 @@ def pf_runs(estimator: RandomWalkPF, inputs: Inputs) -> list[Estimate]:
 @pytest.fixture(scope="module")
 def plain_pf_runs() -> list[Estimate]:
     inputs = pf_drive()
-    return [twin_random_walk_pf(replace(PLAIN_PF, seed=900 + i), inputs) for i in range(PF_SEEDS)]
+    return [TWINS["random_walk_pf"](replace(PLAIN_PF, seed=900 + i), inputs) for i in range(PF_SEEDS)]
 
 
 def test_particle_kernel_agrees_with_a_plain_filter_within_scatter(plain_pf_runs: list[Estimate]) -> None:

@@ -16,7 +16,7 @@ from crosscomb.filters.kinematic.gnss_kf import (
 )
 from crosscomb.filters.single_track.ekf import DynamicEKF
 from crosscomb.filters.single_track.gnss_ekf import GnssDynamicNoise, GnssDynamicObserver
-from crosscomb.filters.twins.aided import twin_gnss_dynamic_observer, twin_gnss_kinematic_kf
+from crosscomb.filters.twins.table import TWINS
 from crosscomb.logs.prepare import complete
 from crosscomb.models.kinematic import input_gain, rotation, slip_of_rolling_rear
 from crosscomb.models.single_track import single_track_rates, stable_substeps
@@ -59,13 +59,12 @@ def rmse(estimator: KernelFilter, inputs: Inputs, beta: np.ndarray, rows: slice 
     return float(np.degrees(np.sqrt(np.mean((estimator.run(inputs).beta - beta)[rows] ** 2))))
 
 
-TWINS = [twin_gnss_kinematic_kf, twin_gnss_dynamic_observer]
-
-
 @pytest.mark.parametrize("manoeuvre", ["slalom", "drift"])
 @pytest.mark.parametrize("lost", [[], [at.HEADING], FIXES], ids=["two antennas", "one antenna", "no fix"])
 @pytest.mark.parametrize(
-    ("estimator", "twin"), list(zip(FILTERS, TWINS, strict=True)), ids=["kinematic", "dynamic"]
+    ("estimator", "twin"),
+    [(FILTERS[0], TWINS["gnss_kinematic_kf"]), (FILTERS[1], TWINS["gnss_dynamic_observer"])],
+    ids=["kinematic", "dynamic"],
 )
 def test_kernels_agree_with_filterpy(estimator, twin, lost, manoeuvre) -> None:
     inputs = without(drive(manoeuvre, seed=5)[0], lost)

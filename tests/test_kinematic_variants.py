@@ -17,8 +17,8 @@ from crosscomb.filters.kinematic.kf_variants import (
     ZeroYawKF,
     straight_share,
 )
-from crosscomb.filters.twins.aided import twin_zero_yaw_kf
 from crosscomb.filters.twins.basic import _walk
+from crosscomb.filters.twins.table import TWINS
 from crosscomb.models.kinematic import input_gain, rotation, slip_of_rolling_rear
 from crosscomb.models.single_track import single_track_rates, stable_substeps
 from crosscomb.models.vehicle import load_vehicle
@@ -46,7 +46,7 @@ def lane_changes(steps: int, seed: int = 0) -> Inputs:
 
 def test_zero_yaw_kernel_agrees_with_filterpy() -> None:
     inputs = lane_changes(1500)
-    estimate, expected = VARIANTS[0].run(inputs), twin_zero_yaw_kf(VARIANTS[0], inputs)
+    estimate, expected = VARIANTS[0].run(inputs), TWINS["kinematic_kf_zero_yaw"](VARIANTS[0], inputs)
     for part in ("beta", "beta_std", "nis"):
         np.testing.assert_allclose(getattr(estimate, part), getattr(expected, part), rtol=1e-9, atol=1e-9)
     assert np.ptp(estimate.beta) > np.radians(1.0)

@@ -13,10 +13,7 @@ from crosscomb.filters.base import Inputs
 from crosscomb.filters.catalogue import make_filter, settings_of
 from crosscomb.filters.random_walk.double_track_ekf import DoubleTrackRandomWalkEKF, DoubleWalkNoise
 from crosscomb.filters.random_walk.ekf import FORCE_EXTRAS, RandomWalkEKF, WalkNoise
-from crosscomb.filters.twins.random_walk import (
-    twin_double_track_random_walk_ekf,
-    twin_random_walk_ekf,
-)
+from crosscomb.filters.twins.table import TWINS
 from crosscomb.models.planar import COS, SIDE_ARM, SIN, contacts, planar_car, set_contacts
 from crosscomb.models.random_walk import random_walk_jacobian, random_walk_rates
 from crosscomb.models.single_track import single_track, single_track_rates
@@ -78,13 +75,13 @@ def rough() -> Inputs:
 @pytest.mark.parametrize("slip_from", ["linear", "free"])
 def test_single_track_agrees_with_its_twin_on_filterpy(slip_from: str, rough: Inputs) -> None:
     estimator = RandomWalkEKF(GOLF, slip_from=slip_from)
-    agree(estimator.run(rough), twin_random_walk_ekf(estimator, rough))
+    agree(estimator.run(rough), TWINS["random_walk_ekf"](estimator, rough))
 
 
 @pytest.mark.parametrize("measured", ["u_r", "u_r_ay"])
 def test_double_track_agrees_with_its_twin_on_filterpy(measured: str, rough: Inputs) -> None:
     estimator = DoubleTrackRandomWalkEKF(GOLF, measured=measured)
-    agree(estimator.run(rough), twin_double_track_random_walk_ekf(estimator, rough))
+    agree(estimator.run(rough), TWINS["double_track_random_walk_ekf"](estimator, rough))
 
 
 def agree(found: base.Estimate, expected: base.Estimate) -> None:

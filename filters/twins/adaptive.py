@@ -1,7 +1,6 @@
 """The adaptive filters once more, slow and plain, on filterpy's ExtendedKalmanFilter.
 
-The models are the same functions, so no formula stands here twice; prediction and update are filterpy's, all
-measurements of a sample at once. Only tests and benchmarks use this module.
+All measurements of a sample update at once here, one after the other in the kernels.
 """
 
 from __future__ import annotations

@@ -1,8 +1,6 @@
 """Aided kinematic and dynamic filters once more, slow and plain, on filterpy's classes.
 
-What the kernels of `kinematic_variants`, `gnss_kinematic` and `gnss_dynamic` are tested and timed against,
-as `crosscomb.filters.twins.basic` is for the first filters. All measurements of a sample update at once here,
-unless they are linearised anew one after the other.
+All measurements of a sample update at once here, unless they are linearised anew one after the other.
 """
 
 from __future__ import annotations

@@ -1,8 +1,4 @@
-"""The three filters once more, slow and plain, on filterpy's classes: what the kernels are tested against.
-
-The models are the same functions, so no formula stands here twice; prediction, update and resampling are
-filterpy's. Only tests and benchmarks use this module; `estimate` never imports filterpy.
-"""
+"""The two Kalman filters of the switch once more, slow and plain, on filterpy's classes."""
 
 from __future__ import annotations
 
@@ -12,7 +8,6 @@ from typing import Any
 
 import numpy as np
 from filterpy.kalman import ExtendedKalmanFilter, KalmanFilter
-from filterpy.monte_carlo import systematic_resample
 
 from crosscomb.filters import base
 from crosscomb.filters import columns as at
@@ -24,10 +19,9 @@ from crosscomb.filters.kinematic.kf import (
     KinematicKF,
     rolling_measurement,
 )
-from crosscomb.filters.random_walk.pf import FAR_OFF, FIRST_SPREAD, MOST_DOUBT, RandomWalkPF
 from crosscomb.filters.single_track.ekf import DynamicEKF
 from crosscomb.models.kinematic import input_gain, rotation
-from crosscomb.models.single_track import SingleTrack, body_rates, single_track_rates, stable_substeps
+from crosscomb.models.single_track import SingleTrack, single_track_rates, stable_substeps
 from crosscomb.signals import MIN_SPEED
 
 
@@ -193,64 +187,6 @@ def twin_dynamic_ekf(estimator: DynamicEKF, inputs: Inputs) -> Estimate:
         return ekf.x[1], math.sqrt(ekf.P[1, 1]), _nis(ekf), *innovations
 
     return _walk(inputs, car, start, step, extras=estimator.extras)
-
-
-def twin_random_walk_pf(estimator: RandomWalkPF, inputs: Inputs) -> Estimate:
-    """Estimate a log with the model and noise of `RandomWalkPF`, in plain numpy with filterpy's resampling.
-
-    The random numbers are others than the kernel's, so the two agree within the scatter of their seeds.
-    filterpy draws from numpy's global generator, which is seeded here.
-
-    Parameters
-    ----------
-    estimator : RandomWalkPF
-    inputs : Inputs
-    """
-    noise, car, dt, n = estimator.noise, estimator.car, inputs.dt, estimator.particles
-    ekf = twin_dynamic_ekf(DynamicEKF(estimator.vehicle, noise.ekf, estimator.tyre), inputs)
-    inputs = Inputs(dt, np.column_stack([inputs.samples, ekf.beta, ekf.beta_std]))
-    np.random.seed(estimator.seed)  # noqa: NPY002
-    rng = np.random.default_rng(estimator.seed)
-    scale = np.array([1.0, 1.0, *[car.mass] * 4])
-    walk = scale * [noise.yaw_acceleration, noise.slip_rate, *[noise.force] * 4] * np.sqrt(dt)
-    x, weights = np.empty((6, n)), np.empty(n)
-
-    def start(sample: np.ndarray, beta: float, beta_std: float) -> None:
-        yaw_rate, side = np.nan_to_num(sample[[at.YAW_RATE, at.AY]])
-        axles = car.mass * side * np.array([car.b, car.a]) / (car.a + car.b)
-        centre = np.array([yaw_rate, beta, sample[at.FXF], sample[at.FXR], *axles])
-        half = scale * FIRST_SPREAD
-        x[:] = rng.uniform((centre - half)[:, None], (centre + half)[:, None], (6, n))
-        weights[:] = 1.0 / n
-
-    def step(sample: np.ndarray) -> tuple[float, float, float]:
-        # Uniform noise of unit variance is sqrt(3) wide to either side.
-        random = walk[:, None] * rng.uniform(-np.sqrt(3.0), np.sqrt(3.0), (6, n))
-        x[2:] += random[2:]
-        steer, steer_rear = sample[[at.STEER, at.STEER_REAR]]
-        yaw_acceleration, beta_rate, ax, ay = body_rates.py_func(
-            x[2], x[3], x[4], x[5], sample[at.VX], x[0],
-            np.cos(steer), np.sin(steer), np.cos(steer_rear), np.sin(steer_rear), np.cos(x[1]), np.sin(x[1]),
-            car.mass, car.yaw_inertia, car.a, car.b,
-        )  # fmt: skip
-        x[0] += dt * yaw_acceleration + random[0]
-        x[1] = np.clip(x[1] + dt * beta_rate + random[1], -base.MAX_BETA, base.MAX_BETA)
-        measured = sample[[at.YAW_RATE, at.AX, at.AY, at.SAMPLE_WIDTH]]
-        slip_variance = (noise.pseudo**2 + min(sample[at.SAMPLE_WIDTH + 1], MOST_DOUBT) ** 2) / dt
-        variances = np.array([noise.yaw_rate**2, noise.accel**2, noise.accel**2, slip_variance])
-        misfit = 0.5 * (np.stack([x[0], ax, ay, x[1]]).T - measured) ** 2 / variances
-        misfit[:, :3] = np.minimum(misfit[:, :3], FAR_OFF)
-        log_likelihood = -misfit[:, np.isfinite(measured)].sum(axis=1)
-        weights[:] *= np.exp(log_likelihood - log_likelihood.max())
-        weights[:] /= weights.sum()
-        beta = weights @ x[1]
-        beta_std = np.sqrt(weights @ (x[1] - beta) ** 2)
-        if 1.0 / (weights @ weights) < 0.5 * n:
-            x[:] = x[:, systematic_resample(weights)]
-            weights[:] = 1.0 / n
-        return beta, beta_std, np.nan
-
-    return _walk(inputs, car, start, step)
 
 
 def _walk(

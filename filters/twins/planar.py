@@ -1,8 +1,7 @@
-"""The planar filters once more, slow and plain: what the kernels are tested against.
+"""The planar filters once more, slow and plain.
 
 First-order, unscented and cubature filters stand on filterpy's classes; it has no iterated or second-order
-filter, these are written in numpy as the textbooks have them. The models are the same functions, so no
-formula stands here twice. Only tests and benchmarks use this module.
+filter, these are written in numpy as the textbooks have them.
 """
 
 from __future__ import annotations

@@ -1,7 +1,4 @@
-"""The random-walk filters once more, slow and plain, on filterpy's ExtendedKalmanFilter.
-
-As `crosscomb.filters.twins.adaptive`; only tests and benchmarks use this module.
-"""
+"""The random-walk extended Kalman filters once more, slow and plain, on filterpy's ExtendedKalmanFilter."""
 
 from __future__ import annotations
 
