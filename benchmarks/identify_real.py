@@ -44,7 +44,7 @@ def documented(data: Path) -> None:
     rows = []
     for use, word in ((True, "with truth"), (False, "without truth")):
         result = identify(logs, car, use)
-        ratio, ay = result.findings["steering_ratio"], result.findings["ay_bias"]
+        ratio, ay = result.judgements["steering_ratio"], result.judgements["ay_bias"]
         rows.append(
             (f"S90 steering ratio, {word}", ratio.after, "15.6", f"{ratio.low:.2f} to {ratio.high:.2f}")
         )
@@ -71,7 +71,7 @@ def documented(data: Path) -> None:
     rows.append(("S90 yaw-rate offset at standstill [rad/s]", still["yaw_rate"][0], "-0.0017", ""))
     logs = [read_log(path) for path in find_logs(data / "stanford_audi_tts_2011")]
     for use, word in ((True, "with truth"), (False, "without truth")):
-        place = identify(logs, load_vehicle("audi_tts"), use).findings["position"]
+        place = identify(logs, load_vehicle("audi_tts"), use).judgements["position"]
         rows.append(
             (f"Audi accelerometer [m], {word}", place.after, "-1.42", f"{place.low:.2f} to {place.high:.2f}")
         )

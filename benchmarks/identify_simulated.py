@@ -166,9 +166,9 @@ def main() -> None:
     errors: dict[str, list[tuple[float, bool, float, bool]]] = {}
     for seed in range(seeds):
         case = make_case(seed, another=another)
-        findings = identify(case.logs, case.given).findings
+        judgements = identify(case.logs, case.given).judgements
         for name, true in case.truth.items():
-            one = findings[name]
+            one = judgements[name]
             value = one.after if one.taken else 0.5 * (one.low + one.high)
             size = true if name in RELATIVE else 1.0
             row = (

@@ -11,10 +11,10 @@ import pytest
 from crosscomb.errors import UsageError
 from crosscomb.models.vehicle import load_vehicle
 from crosscomb.signals import Signals, make_signals
-from crosscomb.training.identification.drive import make_drive, steering
 from crosscomb.training.identification.files import fitted_map
 from crosscomb.training.identification.identify import Identification, identify
 from crosscomb.training.identification.sensors import still_biases
+from crosscomb.training.identification.trace import make_trace, steering
 from crosscomb.training.recordings import Recording
 from crosscomb.training.simulation.simulate import simulate_log
 
@@ -48,11 +48,11 @@ def solved(request: pytest.FixtureRequest) -> tuple[object, Identification]:
 def test_excited_logs_give_the_car_and_its_sensors(solved: tuple) -> None:
     case, result = solved
     for name, bar in CASES.BARS.items():
-        finding, true = result.findings[name], case.truth[name]
+        finding, true = result.judgements[name], case.truth[name]
         error = finding.after / true - 1.0 if name in CASES.RELATIVE else finding.after - true
         assert finding.taken, name
         assert abs(error) < bar, f"{name}: {error:.4f}"
-    assert result.findings["position"].after == pytest.approx(case.truth["position"], abs=0.1)
+    assert result.judgements["position"].after == pytest.approx(case.truth["position"], abs=0.1)
 
 
 def test_intervals_hold_the_truth(solved: tuple) -> None:
@@ -60,7 +60,7 @@ def test_intervals_hold_the_truth(solved: tuple) -> None:
     missed = [
         name
         for name, true in case.truth.items()
-        if not result.findings[name].low <= true <= result.findings[name].high
+        if not result.judgements[name].low <= true <= result.judgements[name].high
     ]
     assert len(missed) <= 1, missed
 
@@ -88,8 +88,8 @@ def test_straight_driving_leaves_the_car_as_it_was() -> None:
         "yaw_inertia",
         "friction",
     ):
-        assert not result.findings[name].taken, name
-        assert "left as it was" in result.findings[name].word
+        assert not result.judgements[name].taken, name
+        assert "left as it was" in result.judgements[name].word
     assert result.vehicle == given
 
 
@@ -127,7 +127,7 @@ def test_a_derived_road_wheel_angle_is_known_from_a_measured_one() -> None:
 def test_nothing_driven_is_an_error_of_use() -> None:
     log = simulate_log(load_vehicle("generic_compact"), "slalom", 1, 0.9, 10.0)
     parked = log.with_columns(vx=np.zeros(len(log)))
-    assert make_drive(parked, load_vehicle("generic_compact")) is None
+    assert make_trace(parked, load_vehicle("generic_compact")) is None
     with pytest.raises(UsageError, match="record a longer drive"):
         identify([parked], load_vehicle("generic_compact"))
 
@@ -143,15 +143,15 @@ def test_real_volvo_has_its_documented_ratio_and_latency(data_dir: Path) -> None
     logs = [one.signals for one in recordings(data_dir / "kth_volvo_s90", "volvo_s90")]
     given = load_vehicle("volvo_s90").model_copy(update={"steering_ratio": 25.0})
     result = identify(logs, given)
-    assert result.findings["steering_ratio"].after == pytest.approx(15.6, abs=0.6)
+    assert result.judgements["steering_ratio"].after == pytest.approx(15.6, abs=0.6)
     assert result.kinematics is not None
     assert result.kinematics.yaw_delay[0] == pytest.approx(0.040, abs=0.015)
-    assert result.findings["ay_bias"].after == pytest.approx(0.14, abs=0.05)
+    assert result.judgements["ay_bias"].after == pytest.approx(0.14, abs=0.05)
 
 
 @pytest.mark.parametrize("use_reference", [True, False])
 def test_real_audi_has_its_accelerometer_at_the_rear_axle(data_dir: Path, use_reference: bool) -> None:
     logs = [one.signals for one in recordings(data_dir / "stanford_audi_tts_2011", "audi_tts")]
-    finding = identify(logs, load_vehicle("audi_tts"), use_reference).findings["position"]
+    finding = identify(logs, load_vehicle("audi_tts"), use_reference).judgements["position"]
     assert finding.taken
     assert finding.after == pytest.approx(-1.42, abs=0.1)

@@ -17,12 +17,12 @@ from crosscomb.models.tyres import rational_tyre
 from crosscomb.models.tyres_combined import combined_forces
 from crosscomb.models.vehicle import load_vehicle, parse_vehicle, vehicle_text
 from crosscomb.signals import GRAVITY, Signals, make_signals
-from crosscomb.training.identification.drive import RATE, Drive, low_pass, make_drive, settled
 from crosscomb.training.identification.files import fitted_map, identified_recording
-from crosscomb.training.identification.fit import Layout, covariance, solve
+from crosscomb.training.identification.fit import Dependence, covariance, solve
 from crosscomb.training.identification.identify import identified_vehicle, identify
-from crosscomb.training.identification.motion import Sensing, run_model
+from crosscomb.training.identification.response import Sensing, run_model
 from crosscomb.training.identification.sensors import kinematics
+from crosscomb.training.identification.trace import RATE, Trace, low_pass, make_trace, settled
 from crosscomb.training.identification.tyres import AxleCurve, _curve
 from crosscomb.training.recordings import Recording
 from crosscomb.training.simulation.replay import replay_linear
@@ -71,9 +71,9 @@ def test_intervals_know_that_errors_last() -> None:
         for k in range(1, n):
             z[k] = 0.9 * z[k - 1] + np.sqrt(1.0 - 0.81) * rng.normal()
         ones, belief = np.ones((n, 1)), np.full((1, 1), 1e-3)
-        layout = Layout(np.arange(n) // 40, [slice(0, n)])
+        dependence = Dependence(np.arange(n) // 40, [slice(0, n)])
         errors.append(z.mean())
-        claimed.append(np.sqrt(covariance(z - z.mean(), ones, belief, layout)[0, 0]))
+        claimed.append(np.sqrt(covariance(z - z.mean(), ones, belief, dependence)[0, 0]))
     # Errors that last 19 rows: independent ones would claim a quarter of this.
     assert np.mean(claimed) == pytest.approx(np.std(errors), rel=0.4)
 
@@ -82,13 +82,13 @@ def test_model_is_the_linear_single_track_while_the_tyres_are_linear() -> None:
     log = simulate_log(CAR, "frequency_sweep", 4, 0.9, 12.0, spread=False, faults=False)
     log = log.with_columns(steer=0.1 * log.column("steer"), steer_wheel=np.full(len(log), np.nan))
     yaw_rate, beta = replay_linear(log, PLAIN)
-    drive = make_drive(log.with_columns(yaw_rate=yaw_rate), PLAIN)
-    assert drive is not None
-    motion = run_model(drive, drive.normal, make_plant(PLAIN), PLAIN.friction, Sensing())
-    tau, rows = log.t - log.t[0], settled(drive.normal)
+    trace = make_trace(log.with_columns(yaw_rate=yaw_rate), PLAIN)
+    assert trace is not None
+    response = run_model(trace, trace.normal, make_plant(PLAIN), PLAIN.friction, Sensing())
+    tau, rows = log.t - log.t[0], settled(trace.normal)
     assert rows.sum() > 200
-    for mine, other in ((motion.yaw_rate, yaw_rate), (motion.beta, beta)):
-        wanted = low_pass(tau, other, drive.t)
+    for mine, other in ((response.yaw_rate, yaw_rate), (response.beta, beta)):
+        wanted = low_pass(tau, other, trace.t)
         assert np.std((mine - wanted)[rows]) < 0.05 * np.std(wanted[rows])
 
 
@@ -115,14 +115,14 @@ def test_a_linear_single_track_is_found_again() -> None:
     for name in given:
         wanted = getattr(PLAIN, name)
         bar = 0.005 if name == "steering_ratio" else 0.025
-        assert result.findings[name].after == pytest.approx(wanted, rel=bar), name
+        assert result.judgements[name].after == pytest.approx(wanted, rel=bar), name
     # The replay's tyres have no relaxation length, which a vehicle file cannot say.
-    assert result.findings["yaw_delay"].after == pytest.approx(0.0, abs=0.005)
-    assert result.findings["ay_delay"].after == pytest.approx(0.0, abs=0.005)
+    assert result.judgements["yaw_delay"].after == pytest.approx(0.0, abs=0.005)
+    assert result.judgements["ay_delay"].after == pytest.approx(0.0, abs=0.005)
 
 
 def test_ground_truth_alone_tells_position_and_latencies() -> None:
-    drives = []
+    traces = []
     for manoeuvre in ("frequency_sweep", "slalom"):
         log = simulate_log(CAR, manoeuvre, 5, 0.9, 25.0, spread=False, faults=False)
         felt = log.column("ay") - 1.2 * np.gradient(log.column("yaw_rate"), log.t)
@@ -130,9 +130,9 @@ def test_ground_truth_alone_tells_position_and_latencies() -> None:
             ay=np.interp(log.t - 0.015, log.t, felt) + 0.2,
             yaw_rate=np.interp(log.t - 0.04, log.t, log.column("yaw_rate")),
         )
-        drives.append(make_drive(late, CAR))
-    assert None not in drives
-    found = kinematics([drive for drive in drives if drive is not None], [{}, {}], CAR)
+        traces.append(make_trace(late, CAR))
+    assert None not in traces
+    found = kinematics([trace for trace in traces if trace is not None], [{}, {}], CAR)
     assert found is not None
     assert found.position[0] == pytest.approx(-1.2, abs=0.05)
     assert found.ay_delay[0] == pytest.approx(0.015, abs=0.003)
@@ -314,16 +314,16 @@ def test_a_gap_in_a_log_is_not_driven_through() -> None:
     log = simulate_log(CAR, "slalom", 9, 0.9, 20.0, spread=False)
     hole = (log.t > 8.0) & (log.t < 9.0)
     torn = replace(log, frame=log.frame[~hole].reset_index(drop=True))
-    drive = make_drive(make_signals(torn.frame, "torn"), CAR)
-    assert isinstance(drive, Drive)
-    inside = (drive.t > 8.05) & (drive.t < 8.95)
+    trace = make_trace(make_signals(torn.frame, "torn"), CAR)
+    assert isinstance(trace, Trace)
+    inside = (trace.t > 8.05) & (trace.t < 8.95)
     assert inside.sum() > 0.8 * RATE
-    assert not drive.normal[inside].any()
-    assert not settled(drive.normal)[(drive.t > 9.0) & (drive.t < 9.5)].any()
+    assert not trace.normal[inside].any()
+    assert not settled(trace.normal)[(trace.t > 9.0) & (trace.t < 9.5)].any()
 
 
 def test_read_log_needs_no_truth_to_be_identified(folder: Path) -> None:
     logs = [read_log(path) for path in sorted(folder.glob("*.csv"))]
     result = identify(logs, CAR)
     assert result.kinematics is None
-    assert "beta_delay" not in result.findings
+    assert "beta_delay" not in result.judgements

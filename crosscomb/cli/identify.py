@@ -82,7 +82,7 @@ def identify(
     settings = {"vehicle": before.model_dump(), "map": channel_map, "without_truth": without_truth}
     write_json(record_file, run_record("identify", settings, inputs))
     terminal.show(
-        f"{before.name}: {len(result.problem.drives)} of {len(logs)} logs with driving",
+        f"{before.name}: {len(result.problem.traces)} of {len(logs)} logs with driving",
         ["parameter", "unit", "before", "after", "from (95 %)", "to", "word"],
         table_rows(result),
         left=2,

@@ -12,11 +12,11 @@ from matplotlib.figure import Figure
 from crosscomb.files import write_file
 from crosscomb.models.magic_formula import magic_formula
 from crosscomb.models.tyres import rational_tyre
-from crosscomb.training.identification.drive import settled
 from crosscomb.training.identification.files import rms
 from crosscomb.training.identification.handling import shown_motion
 from crosscomb.training.identification.identify import Identification
 from crosscomb.training.identification.parameters import Fit
+from crosscomb.training.identification.trace import settled
 from crosscomb.training.identification.tyres import AxleCurve
 
 MOST_LOGS = 10
@@ -33,25 +33,25 @@ def write_pictures(result: Identification, motion_file: Path, tyre_file: Path) -
 
 def motion_figure(result: Identification) -> Figure:
     """Yaw rate and ay as measured, and as the car before and after shows them, in the liveliest seconds of logs."""
-    drives = result.problem.drives[:MOST_LOGS]
-    figure = Figure(figsize=(13, 3.0 * len(drives) + 0.5), layout="constrained")
-    axes = figure.subplots(len(drives), 2, squeeze=False)
-    for i, drive in enumerate(drives):
-        rows = _liveliest(drive.t, np.where(drive.normal, np.abs(drive.ay), 0.0))
-        for j, (measured, name) in enumerate(((drive.yaw_rate, "yaw rate [rad/s]"), (drive.ay, "ay [m/s²]"))):
+    traces = result.problem.traces[:MOST_LOGS]
+    figure = Figure(figsize=(13, 3.0 * len(traces) + 0.5), layout="constrained")
+    axes = figure.subplots(len(traces), 2, squeeze=False)
+    for i, trace in enumerate(traces):
+        rows = _liveliest(trace.t, np.where(trace.normal, np.abs(trace.ay), 0.0))
+        for j, (measured, name) in enumerate(((trace.yaw_rate, "yaw rate [rad/s]"), (trace.ay, "ay [m/s²]"))):
             axis = axes[i, j]
-            axis.plot(drive.t[rows], measured[rows], color=MEASURED, lw=1.6, label="measured")
+            axis.plot(trace.t[rows], measured[rows], color=MEASURED, lw=1.6, label="measured")
             for fit, colour, word in ((result.first, BEFORE, "before"), (result.fit, AFTER, "after")):
                 shown = _shown(result, fit, i, j)
-                error = rms((shown - measured)[rows][settled(drive.normal)[rows]])
-                axis.plot(drive.t[rows], shown[rows], color=colour, lw=1.0, label=f"{word}: rms {error:.3g}")
+                error = rms((shown - measured)[rows][settled(trace.normal)[rows]])
+                axis.plot(trace.t[rows], shown[rows], color=colour, lw=1.0, label=f"{word}: rms {error:.3g}")
             reach = 1.3 * float(np.abs(measured[rows]).max())
             axis.set_ylim(-reach, reach)
-            axis.set_title(f"{drive.name}: {name}", fontsize=9)
+            axis.set_title(f"{trace.name}: {name}", fontsize=9)
             axis.legend(fontsize=7)
     for axis in axes[-1]:
         axis.set_xlabel("t [s]")
-    count = len(result.problem.drives)
+    count = len(result.problem.traces)
     some = f" (the first {MOST_LOGS} of {count} logs)" if count > MOST_LOGS else ""
     figure.suptitle(
         f"{result.vehicle.name}: the model, driven by steering and speed, against the sensors{some}"

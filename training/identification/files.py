@@ -16,11 +16,11 @@ from crosscomb.logs.channel_map import Accelerometer, Channel, ChannelMap, apply
 from crosscomb.logs.prepare import complete
 from crosscomb.models.vehicle import vehicle_text
 from crosscomb.signals import REFERENCES
-from crosscomb.training.identification.drive import settled
-from crosscomb.training.identification.findings import SAID, Finding
 from crosscomb.training.identification.handling import shown_motion
 from crosscomb.training.identification.identify import Identification, identify
+from crosscomb.training.identification.judgements import SAID, Judgement
 from crosscomb.training.identification.parameters import IN_VEHICLE
+from crosscomb.training.identification.trace import settled
 from crosscomb.training.recordings import Recording
 
 HEADER = ("parameter", "unit", "before", "after", "low_95", "high_95", "word")
@@ -30,7 +30,7 @@ def fitted_text(result: Identification) -> str:
     """Text of the fitted vehicle file; what was found has its interval behind it."""
     remarks = {
         name: f"identified: {interval(one)} (95 %), before {one.before:.6g}"
-        for name, one in result.findings.items()
+        for name, one in result.judgements.items()
         if one.taken and (name in IN_VEHICLE or name == "tyre.shape")
     }
     return vehicle_text(result.vehicle, remarks)
@@ -47,7 +47,7 @@ def fitted_map(result: Identification, base: ChannelMap | None = None) -> Channe
     """
     base = base or ChannelMap()
     channels = dict(base.channels)
-    found = {name: one.after for name, one in result.findings.items() if one.taken}
+    found = {name: one.after for name, one in result.judgements.items() if one.taken}
     for name, bias in (("yaw_rate", "yaw_bias"), ("ay", "ay_bias"), ("ax", "ax_bias")):
         if bias in found:
             old = channels.get(name, Channel())
@@ -136,10 +136,10 @@ def _lines(values: dict[str, object]) -> list[str]:
 
 
 def table_rows(result: Identification) -> list[list[str]]:
-    """The findings as text, one row each, with the columns of `HEADER`."""
+    """The judgements as text, one row each, with the columns of `HEADER`."""
     return [
         [SAID.get(name, name), one.unit, *map(_short, (one.before, one.after, one.low, one.high)), one.word]
-        for name, one in result.findings.items()
+        for name, one in result.judgements.items()
     ]
 
 
@@ -149,16 +149,16 @@ def _short(value: float) -> str:
 
 
 def table_csv(result: Identification) -> str:
-    """The findings as CSV under the names that programs know them by."""
+    """The judgements as CSV under the names that programs know them by."""
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")
     writer.writerow(HEADER)
-    for name, row in zip(result.findings, table_rows(result), strict=True):
+    for name, row in zip(result.judgements, table_rows(result), strict=True):
         writer.writerow([name, *row[1:]])
     return stream.getvalue()
 
 
-def interval(one: Finding) -> str:
+def interval(one: Judgement) -> str:
     """The interval in words."""
     return f"{one.low:.6g} to {one.high:.6g}"
 
@@ -172,9 +172,9 @@ def rms(values: np.ndarray) -> float:
 def motion_rows(result: Identification) -> list[list[str]]:
     """For each log: what is left of yaw rate [rad/s] and ay [m/s^2] against the model, before and after (rms)."""
     rows = []
-    for i, drive in enumerate(result.problem.drives):
-        cells, counted = [drive.name], settled(drive.normal)
-        for output, measured in enumerate((drive.yaw_rate, drive.ay)):
+    for i, trace in enumerate(result.problem.traces):
+        cells, counted = [trace.name], settled(trace.normal)
+        for output, measured in enumerate((trace.yaw_rate, trace.ay)):
             for fit in (result.first, result.fit):
                 miss = shown_motion(result.problem, fit, i)[output] - measured
                 cells.append(_short(rms(miss[counted])))

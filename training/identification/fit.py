@@ -21,7 +21,7 @@ Rows = tuple[np.ndarray, np.ndarray]
 """Residuals ``(n,)`` in standard deviations and their slopes ``(n, p)``."""
 
 
-class Layout(NamedTuple):
+class Dependence(NamedTuple):
     """How the rows of the residuals depend on each other."""
 
     blocks: np.ndarray  # (n,) number of the block whose rows may err together
@@ -77,7 +77,7 @@ def cost(z: np.ndarray, believed: np.ndarray) -> float:
     return float(robust.sum() / CORRELATED + (believed**2).sum())
 
 
-def covariance(z: np.ndarray, jacobian: np.ndarray, belief: np.ndarray, layout: Layout) -> np.ndarray:
+def covariance(z: np.ndarray, jacobian: np.ndarray, belief: np.ndarray, dependence: Dependence) -> np.ndarray:
     """Covariance of the solution ``(p, p)``, where rows err together.
 
     The larger, parameter by parameter, of two estimates: the sum over blocks (a sandwich; few blocks make it
@@ -89,7 +89,7 @@ def covariance(z: np.ndarray, jacobian: np.ndarray, belief: np.ndarray, layout: 
         At the solution.
     belief : ndarray
         Slopes of the beliefs.
-    layout : Layout
+    dependence : Dependence
     """
     size = jacobian.shape[1]
     held = belief.T @ belief
@@ -97,13 +97,13 @@ def covariance(z: np.ndarray, jacobian: np.ndarray, belief: np.ndarray, layout: 
         return np.linalg.inv(held)
     _, hessian = _normal(z, jacobian, np.zeros(len(belief)), belief)
     pulled = _weight(z) * z / CORRELATED
-    order = np.argsort(layout.blocks, kind="stable")
-    starts = np.flatnonzero(np.diff(layout.blocks[order], prepend=-1))
+    order = np.argsort(dependence.blocks, kind="stable")
+    starts = np.flatnonzero(np.diff(dependence.blocks[order], prepend=-1))
     scores = np.add.reduceat(jacobian[order] * pulled[order, None], starts, axis=0)
     few = len(starts) / max(len(starts) - size, 0.5 * len(starts))
     by_blocks = few * scores.T @ scores
     by_time = np.zeros((size, size))
-    for rows in layout.series:
+    for rows in dependence.series:
         if rows.stop - rows.start > 10:
             size_2 = float(np.mean(pulled[rows] ** 2)) * lasting(pulled[rows])
             by_time += size_2 * jacobian[rows].T @ jacobian[rows]

@@ -1,8 +1,8 @@
 """Handling parameters and sensor errors of one car, fitted jointly to what its sensors showed on many drives.
 
-Output-error fit of the nonlinear single track (`identify_motion`). What belongs to the car is common to all
-logs; offsets are each log's own. All that is sought is held near what is known already by a wide prior, so that
-a parameter without excitation keeps its value and shows a wide interval instead of running away.
+Output-error fit of the nonlinear single track (`response`). What belongs to the car is common to all logs; offsets are
+each log's own. All that is sought is held near what is known already by a wide prior, so that a parameter without
+excitation keeps its value and shows a wide interval instead of running away.
 """
 
 from __future__ import annotations
@@ -13,9 +13,7 @@ import numpy as np
 from scipy.ndimage import maximum_filter1d
 
 from crosscomb.models.vehicle import Vehicle
-from crosscomb.training.identification.drive import RATE, Drive, settled
-from crosscomb.training.identification.fit import Layout, Rows, covariance, solve
-from crosscomb.training.identification.motion import Motion, Sensing, run_model, sensed
+from crosscomb.training.identification.fit import Dependence, Rows, covariance, solve
 from crosscomb.training.identification.parameters import (
     CAR,
     LOG,
@@ -26,6 +24,8 @@ from crosscomb.training.identification.parameters import (
     make_sensing,
     tyre_car,
 )
+from crosscomb.training.identification.response import Response, Sensing, run_model, sensed
+from crosscomb.training.identification.trace import RATE, Trace, settled
 
 FIRST_ERROR = (0.02, 0.4, 0.01)  # of the model before it is known [rad/s, m/s^2, rad]
 LEAST_ERROR = (0.004, 0.06, 0.002)
@@ -45,34 +45,34 @@ friction of the steering, and the road, decide what the car does."""
 
 
 class _Runner:
-    """Residuals of one log; the last motions are kept, as most parameters only concern the sensors."""
+    """Residuals of one log; the last responses are kept, as most parameters only concern the sensors."""
 
-    def __init__(self, drive: Drive, vehicle: Vehicle, running: np.ndarray, errors: np.ndarray) -> None:
-        self.drive, self.vehicle, self.running, self.errors = drive, vehicle, running, errors
+    def __init__(self, trace: Trace, vehicle: Vehicle, running: np.ndarray, errors: np.ndarray) -> None:
+        self.trace, self.vehicle, self.running, self.errors = trace, vehicle, running, errors
         rows = settled(running)
         rows[np.arange(len(rows)) % THIN != 0] = False
-        self.rows = [rows, rows, rows & np.isfinite(drive.beta)]
-        straight = maximum_filter1d(np.abs(drive.ay), int(2.0 * RATE)) < STRAIGHT_AY
-        near_limit = np.maximum(1.0, (drive.ay / LINEAR_AY) ** 2)
-        bend = np.abs(vehicle.wheelbase * drive.yaw_rate / drive.vx)
+        self.rows = [rows, rows, rows & np.isfinite(trace.beta)]
+        straight = maximum_filter1d(np.abs(trace.ay), int(2.0 * RATE)) < STRAIGHT_AY
+        near_limit = np.maximum(1.0, (trace.ay / LINEAR_AY) ** 2)
+        bend = np.abs(vehicle.wheelbase * trace.yaw_rate / trace.vx)
         tight = np.maximum(1.0, (maximum_filter1d(bend, int(RATE)) / TIGHT_BEND) ** 2)
         self.unsure = np.where(straight, STRAIGHT_ERROR, near_limit * tight)
-        self.kept: dict[tuple, Motion] = {}
+        self.kept: dict[tuple, Response] = {}
 
-    def motion(self, car: dict[str, float], sensing: Sensing) -> Motion:
+    def response(self, car: dict[str, float], sensing: Sensing) -> Response:
         single = tyre_car(self.vehicle, car)
         steering = (sensing.ratio, sensing.steer_scale, sensing.steer_offset)
         key = (single, car["friction"], *steering, sensing.yaw_bias, sensing.yaw_delay)
         if key not in self.kept:
             if len(self.kept) > 1:
                 self.kept.pop(next(reversed(self.kept)))
-            self.kept[key] = run_model(self.drive, self.running, single, car["friction"], sensing)
+            self.kept[key] = run_model(self.trace, self.running, single, car["friction"], sensing)
         return self.kept[key]
 
     def residuals(self, car: dict[str, float], offsets: dict[str, float]) -> np.ndarray:
         sensing = make_sensing(car, offsets)
-        shown = sensed(self.motion(car, sensing), self.drive, sensing, self.vehicle)
-        measured = (self.drive.yaw_rate, self.drive.ay, self.drive.beta)
+        shown = sensed(self.response(car, sensing), self.trace, sensing, self.vehicle)
+        measured = (self.trace.yaw_rate, self.trace.ay, self.trace.beta)
         parts = [
             (shown[i][rows] - measured[i][rows]) / (self.errors[i] * self.unsure[rows])
             for i, rows in enumerate(self.rows)
@@ -80,7 +80,7 @@ class _Runner:
         return np.nan_to_num(np.concatenate(parts), nan=50.0, posinf=50.0, neginf=-50.0)
 
     def fresh(self) -> None:
-        """Forget the motions of other parameters."""
+        """Forget the responses of other parameters."""
         self.kept.clear()
 
 
@@ -101,7 +101,7 @@ def fit(problem: Problem, start: Fit | None = None) -> tuple[Fit, Problem]:
     """
     x = _first(problem, start)
     if len(problem.errors) == 0:
-        problem = replace(problem, errors=np.tile(FIRST_ERROR, (len(problem.drives), 1)))
+        problem = replace(problem, errors=np.tile(FIRST_ERROR, (len(problem.traces), 1)))
         x = _solve(problem, x)[0]
     problem = replace(problem, errors=_model_errors(problem, x))
     x, spread = _solve(problem, x)
@@ -115,10 +115,10 @@ def before(problem: Problem) -> Fit:
 
 def shown_motion(problem: Problem, found: Fit, i: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Yaw rate, ay and beta ``(n,)`` that the sensors of log i show if the fit is right; SI, NaN where not run."""
-    drive = problem.drives[i]
-    runner = _Runner(drive, problem.vehicle, drive.normal, np.ones(OUTPUTS))
+    trace = problem.traces[i]
+    runner = _Runner(trace, problem.vehicle, trace.normal, np.ones(OUTPUTS))
     sensing = found.sensing(i)
-    return sensed(runner.motion(found.car, sensing), drive, sensing, problem.vehicle)
+    return sensed(runner.response(found.car, sensing), trace, sensing, problem.vehicle)
 
 
 def _first(problem: Problem, start: Fit | None) -> np.ndarray:
@@ -141,7 +141,7 @@ def _split(problem: Problem, x: np.ndarray) -> tuple[dict[str, float], list[dict
     for one, value in zip(sought, x, strict=False):
         car[one.name] = float(np.exp(np.clip(value, -20.0, 20.0)) if one.positive else value)
     logs = []
-    for i in range(len(problem.drives)):
+    for i in range(len(problem.traces)):
         part = x[len(sought) + i * len(own) :][: len(own)]
         offsets = {one.name: problem.fixed.get(one.name, 0.0) for one in LOG}
         logs.append(offsets | {one.name: float(v) for one, v in zip(own, part, strict=True)})
@@ -160,8 +160,8 @@ def _prior(problem: Problem) -> tuple[np.ndarray, np.ndarray]:
 def _solve(problem: Problem, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Solution ``(p,)`` and its covariance ``(p, p)``."""
     runners = [
-        _Runner(drive, problem.vehicle, drive.normal, errors)
-        for drive, errors in zip(problem.drives, problem.errors, strict=True)
+        _Runner(trace, problem.vehicle, trace.normal, errors)
+        for trace, errors in zip(problem.traces, problem.errors, strict=True)
     ]
     centre, spread = _prior(problem)
     steps = [one.step for one in problem.car_sought]
@@ -202,10 +202,10 @@ def _solve(problem: Problem, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
     x = solve(lambda x: np.concatenate(each(x)), slopes, beliefs, x)
     z, jacobian = slopes(x)
-    return x, covariance(z, jacobian, beliefs(x)[1], _layout(runners))
+    return x, covariance(z, jacobian, beliefs(x)[1], _dependence(runners))
 
 
-def _layout(runners: list[_Runner]) -> Layout:
+def _dependence(runners: list[_Runner]) -> Dependence:
     blocks, series, begin, first = [], [], 0, 0
     for runner in runners:
         for rows in runner.rows:
@@ -213,15 +213,15 @@ def _layout(runners: list[_Runner]) -> Layout:
             series.append(slice(begin, begin + int(rows.sum())))
             begin = series[-1].stop
         first += len(runner.running) // BLOCK + 1
-    return Layout(np.concatenate(blocks), series)
+    return Dependence(np.concatenate(blocks), series)
 
 
 def _model_errors(problem: Problem, x: np.ndarray) -> np.ndarray:
     """Standard deviation of each log's residuals ``(logs, OUTPUTS)``, outliers left aside."""
     car, logs = _split(problem, x)
     errors = []
-    for drive, old, offsets in zip(problem.drives, problem.errors, logs, strict=True):
-        runner = _Runner(drive, problem.vehicle, drive.normal, old)
+    for trace, old, offsets in zip(problem.traces, problem.errors, logs, strict=True):
+        runner = _Runner(trace, problem.vehicle, trace.normal, old)
         parts = np.split(runner.residuals(car, offsets), np.cumsum([rows.sum() for rows in runner.rows])[:-1])
         own = [1.48 * float(np.median(np.abs(part))) if len(part) else 1.0 for part in parts]
         errors.append(

@@ -15,20 +15,20 @@ import numpy as np
 from crosscomb.errors import UsageError
 from crosscomb.models.vehicle import Vehicle
 from crosscomb.signals import GRAVITY, REFERENCES, Signals
-from crosscomb.training.identification.drive import RATE, Drive, make_drive, settled
-from crosscomb.training.identification.findings import (
+from crosscomb.training.identification.handling import before, fit, shown_motion
+from crosscomb.training.identification.judgements import (
     FRICTION_BEYOND,
-    Finding,
-    finding,
+    Judgement,
     fitted_tyre,
     fitted_vehicle,
-    friction_finding,
-    handling_findings,
-    tyre_findings,
+    judge,
+    judge_friction,
+    judge_handling,
+    judge_tyres,
 )
-from crosscomb.training.identification.handling import before, fit, shown_motion
 from crosscomb.training.identification.parameters import Belief, Fit, Problem, usual_understeer
 from crosscomb.training.identification.sensors import Kinematics, Known, ax_bias, kinematics, still_biases
+from crosscomb.training.identification.trace import RATE, Trace, make_trace, settled
 from crosscomb.training.identification.tyres import AxleCurve, tyre_curves
 from crosscomb.training.recordings import Recording
 
@@ -47,11 +47,11 @@ class Identification:
     ----------
     vehicle : Vehicle
         With the values found.
-    findings : dict of str to Finding
+    judgements : dict of str to Judgement
     fit, first : Fit
         After and before.
     problem : Problem
-        Drives and model errors.
+        Traces and model errors.
     ratio_open : bool
         The steering ratio was sought: the steering angle was that of the hand wheel.
     kinematics : Kinematics, optional
@@ -65,7 +65,7 @@ class Identification:
     """
 
     vehicle: Vehicle
-    findings: dict[str, Finding]
+    judgements: dict[str, Judgement]
     fit: Fit
     first: Fit
     problem: Problem
@@ -114,75 +114,77 @@ def identify(logs: Sequence[Signals], vehicle: Vehicle, use_reference: bool = Tr
         No log holds enough driving.
     """
     still = still_biases(logs)
-    made = [(make_drive(log, vehicle, use_reference), known) for log, known in zip(logs, still, strict=True)]
+    made = [(make_trace(log, vehicle, use_reference), known) for log, known in zip(logs, still, strict=True)]
     pairs = [
-        (drive, known)
-        for drive, known in made
-        if drive is not None and settled(drive.wild).sum() > LEAST_DRIVING * RATE
+        (trace, known)
+        for trace, known in made
+        if trace is not None and settled(trace.wild).sum() > LEAST_DRIVING * RATE
     ]
     if not pairs:
         raise UsageError(
             f"{logs[0].source if logs else 'no log'}: no log holds {LEAST_DRIVING:g} s of driving above "
             f"walking pace: record a longer drive with bends to both sides"
         )
-    drives = [drive for drive, _ in pairs]
+    traces = [trace for trace, _ in pairs]
     known = [own for _, own in pairs]
-    ratio_open = all(drive.ratio_open for drive in drives)
-    truth = kinematics(drives, known, vehicle)
-    used = max(_strongest(drive) for drive in drives) / GRAVITY
+    ratio_open = all(trace.ratio_open for trace in traces)
+    truth = kinematics(traces, known, vehicle)
+    used = max(_strongest(trace) for trace in traces) / GRAVITY
     # What is sought begins at the least friction that may have been enough.
     enough = vehicle.model_copy(update={"friction": max(vehicle.friction, FRICTION_BEYOND * used)})
     problem = Problem(
-        drives, enough, [_offsets(own) for own in known], _closed(vehicle, drives, ratio_open),
+        traces, enough, [_offsets(own) for own in known], _closed(vehicle, traces, ratio_open),
         (usual_understeer(vehicle), *_kinematic_beliefs(truth)),
     )  # fmt: skip
     first = before(problem)
     found, fitted = fit(problem)
     calm = [i for i, error in enumerate(fitted.errors) if error[0] < SLIDING[0] and error[1] < SLIDING[1]]
-    left_out = tuple(drive.name for i, drive in enumerate(drives) if i not in calm)
+    left_out = tuple(trace.name for i, trace in enumerate(traces) if i not in calm)
     if left_out and calm:
         # What a car does in a slide would be taken for its handling.
-        problem = replace(problem, drives=[drives[i] for i in calm], known=[problem.known[i] for i in calm])
-        drives, known, first = list(problem.drives), [known[i] for i in calm], before(problem)
+        problem = replace(problem, traces=[traces[i] for i in calm], known=[problem.known[i] for i in calm])
+        traces, known, first = list(problem.traces), [known[i] for i in calm], before(problem)
         found, fitted = fit(problem)
-    findings = handling_findings(vehicle, found, ratio_open)
-    findings["friction"] = friction_finding(vehicle.friction, findings["friction"], used, found)
-    along = ax_bias(drives, known, [_turning(fitted, found, i) for i in range(len(drives))])
+    judgements = judge_handling(vehicle, found, ratio_open)
+    judgements["friction"] = judge_friction(vehicle.friction, judgements["friction"], used, found)
+    along = ax_bias(traces, known, [_turning(fitted, found, i) for i in range(len(traces))])
     if along is not None:
-        findings["ax_bias"] = finding("ax_bias", 0.0, along[0], along[1])
+        judgements["ax_bias"] = judge("ax_bias", 0.0, along[0], along[1])
     references = tuple(name for name in REFERENCES if any(log.has(name) for log in logs))
-    car = fitted_vehicle(vehicle, findings)
-    tyres = tyre_curves(drives, car, found)
-    findings |= tyre_findings(car, tyres)
-    car = fitted_tyre(car, findings)
-    return Identification(car, findings, found, first, fitted, ratio_open, truth, references, tyres, left_out)
+    car = fitted_vehicle(vehicle, judgements)
+    tyres = tyre_curves(traces, car, found)
+    judgements |= judge_tyres(car, tyres)
+    car = fitted_tyre(car, judgements)
+    return Identification(
+        car, judgements, found, first, fitted, ratio_open, truth, references, tyres, left_out
+    )
 
 
 def _turning(problem: Problem, found: Fit, i: int) -> np.ndarray:
-    """What turning adds to ax in a drive ``(n,) [m/s^2]``."""
-    drive = problem.drives[i]
+    """What turning adds to ax in a trace ``(n,) [m/s^2]``."""
+    trace = problem.traces[i]
     beta = shown_motion(problem, found, i)[2] - found.logs[i]["beta_bias"]
-    lever = found.car["position"] * drive.yaw_rate**2
-    return -drive.vx * np.tan(beta) * drive.yaw_rate - lever
+    lever = found.car["position"] * trace.yaw_rate**2
+    return -trace.vx * np.tan(beta) * trace.yaw_rate - lever
 
 
 def _offsets(own: Known) -> Known:
     return {name: own[key] for name, key in (("yaw_bias", "yaw_rate"), ("ay_bias", "ay")) if key in own}
 
 
-def _closed(vehicle: Vehicle, drives: Sequence[Drive], ratio_open: bool) -> dict[str, float]:
+def _closed(vehicle: Vehicle, traces: Sequence[Trace], ratio_open: bool) -> dict[str, float]:
     """What is not sought, with the values taken instead."""
     # One of the two scales the steering angle; with both kinds of logs the measured angle is believed.
     closed = {"steer_scale": 1.0} if ratio_open else {"steering_ratio": vehicle.steering_ratio}
-    if not any(np.isfinite(drive.beta).any() for drive in drives):
+    if not any(np.isfinite(trace.beta).any() for trace in traces):
         closed |= {"beta_delay": 0.0, "beta_bias": 0.0}
     return closed
 
 
-def _strongest(drive: Drive) -> float:
+def _strongest(trace: Trace) -> float:
     """Lateral acceleration [m/s^2] that is passed for a few tenths of a second only."""
-    rows = settled(drive.wild)
-    return float(np.percentile(np.abs(drive.ay[rows]), 99.0)) if rows.any() else 0.0
+    rows = settled(trace.wild)
+    return float(np.percentile(np.abs(trace.ay[rows]), 99.0)) if rows.any() else 0.0
 
 
 def _kinematic_beliefs(truth: Kinematics | None) -> tuple[Belief, ...]:

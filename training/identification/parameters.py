@@ -10,8 +10,8 @@ import numpy as np
 from crosscomb.models.plant import PlantParameters, make_plant
 from crosscomb.models.tyres_combined import FIRM_GROUND
 from crosscomb.models.vehicle import Vehicle
-from crosscomb.training.identification.drive import Drive
-from crosscomb.training.identification.motion import Sensing
+from crosscomb.training.identification.response import Sensing
+from crosscomb.training.identification.trace import Trace
 
 OUTPUTS = 3  # yaw rate, ay, beta of the reference
 
@@ -75,7 +75,7 @@ class Problem:
 
     Attributes
     ----------
-    drives : sequence of Drive
+    traces : sequence of Trace
     vehicle : Vehicle
         Values before; also what is kept where nothing is sought.
     known : list of dict
@@ -87,7 +87,7 @@ class Problem:
         ``(logs, OUTPUTS)`` standard deviation of the model's error.
     """
 
-    drives: Sequence[Drive]
+    traces: Sequence[Trace]
     vehicle: Vehicle
     known: list[dict[str, tuple[float, float]]]
     fixed: dict[str, float] = field(default_factory=dict)

@@ -10,9 +10,9 @@ import numpy as np
 
 from crosscomb.models.vehicle import Vehicle
 from crosscomb.signals import GRAVITY, Signals
-from crosscomb.training.identification.drive import RATE, Drive, settled, standstill
-from crosscomb.training.identification.fit import Layout, Rows, cost, covariance, solve
-from crosscomb.training.identification.motion import lean
+from crosscomb.training.identification.fit import Dependence, Rows, cost, covariance, solve
+from crosscomb.training.identification.response import lean
+from crosscomb.training.identification.trace import RATE, Trace, settled, standstill
 
 STILL_CHANNELS = ("ax", "ay", "yaw_rate")
 STILL_FLOOR = {"ax": 0.06, "ay": 0.06, "yaw_rate": 0.0004}
@@ -59,7 +59,7 @@ def still_biases(logs: Sequence[Signals]) -> list[Known]:
 
 
 def ax_bias(
-    drives: Sequence[Drive], known: Sequence[Known], turning: Sequence[np.ndarray]
+    traces: Sequence[Trace], known: Sequence[Known], turning: Sequence[np.ndarray]
 ) -> tuple[float, float] | None:
     """Offset of ax and its standard deviation [m/s^2]; None where nothing tells it.
 
@@ -68,19 +68,19 @@ def ax_bias(
 
     Parameters
     ----------
-    drives, known : sequence
+    traces, known : sequence
         Logs and their offsets at standstill.
     turning : sequence of ndarray
-        What turning adds to ax in each drive ``(n,) [m/s^2]``: -vy yaw_rate, and the lever arm; NaN if unknown.
+        What turning adds to ax in each trace ``(n,) [m/s^2]``: -vy yaw_rate, and the lever arm; NaN if unknown.
     """
     values, weights = [], []
-    for drive, own, added in zip(drives, known, turning, strict=True):
-        rows = np.flatnonzero(drive.normal & np.isfinite(drive.ax - added))[::THIN]
+    for trace, own, added in zip(traces, known, turning, strict=True):
+        rows = np.flatnonzero(trace.normal & np.isfinite(trace.ax - added))[::THIN]
         if len(rows) > 50:
-            pull = np.gradient(drive.vx, drive.t)[rows]
+            pull = np.gradient(trace.vx, trace.t)[rows]
             design = np.column_stack([np.ones(len(rows)), pull])
-            solution, *_ = np.linalg.lstsq(design, (drive.ax - added)[rows], rcond=None)
-            left = (drive.ax - added)[rows] - design @ solution
+            solution, *_ = np.linalg.lstsq(design, (trace.ax - added)[rows], rcond=None)
+            left = (trace.ax - added)[rows] - design @ solution
             _, group = np.unique(rows // BLOCK, return_inverse=True)
             means = np.bincount(group, left) / np.bincount(group)
             values.append(float(solution[0]))
@@ -122,7 +122,7 @@ KINEMATIC_SPREAD = np.array([1.5, 0.006, 0.06, 0.06])
 KINEMATIC_STEP = np.array([0.01, 1e-4, 0.002, 0.002])
 
 
-def kinematics(drives: Sequence[Drive], known: Sequence[Known], vehicle: Vehicle) -> Kinematics | None:
+def kinematics(traces: Sequence[Trace], known: Sequence[Known], vehicle: Vehicle) -> Kinematics | None:
     """Fit ay = true + g roll_gradient lean(true) + position d(yaw_rate)/dt + bias.
 
     true is d(vy)/dt + vx yaw_rate, vy is vx tan(beta) of the ground truth, so that no tyre matters. Each
@@ -130,18 +130,18 @@ def kinematics(drives: Sequence[Drive], known: Sequence[Known], vehicle: Vehicle
 
     Parameters
     ----------
-    drives : sequence of Drive
+    traces : sequence of Trace
     known : sequence of dict
         Of `still_biases`: offsets of ay and yaw rate.
     vehicle : Vehicle
         How its body follows ay in roll.
     """
-    rows = [settled(drive.wild & np.isfinite(drive.beta)) for drive in drives]
+    rows = [settled(trace.wild & np.isfinite(trace.beta)) for trace in traces]
     picked = [np.flatnonzero(mask & (np.arange(len(mask)) % THIN == 0)) for mask in rows]
     used = [i for i, one in enumerate(picked) if len(one) > 50]
     if not used:
         return None
-    truths = [_Truth(drives[i], picked[i], vehicle) for i in used]
+    truths = [_Truth(traces[i], picked[i], vehicle) for i in used]
     offsets = [known[i] for i in used]
     centre = np.concatenate(
         [KINEMATIC_START, *([_mean(own, "yaw_rate"), _mean(own, "ay")] for own in offsets)]
@@ -178,7 +178,7 @@ def kinematics(drives: Sequence[Drive], known: Sequence[Known], vehicle: Vehicle
     bounds = np.cumsum([0, *(len(truth.rows) for truth in truths)])
     series = [slice(int(a), int(b)) for a, b in pairwise(bounds)]
     blocks = np.concatenate([i * 1_000_000 + truth.rows // BLOCK for i, truth in enumerate(truths)])
-    std = np.sqrt(np.diag(covariance(z, jacobian, beliefs(x)[1], Layout(blocks, series))))
+    std = np.sqrt(np.diag(covariance(z, jacobian, beliefs(x)[1], Dependence(blocks, series))))
     return Kinematics(*((float(value), float(own)) for value, own in zip(x[:4], std[:4], strict=True)))
 
 
@@ -193,17 +193,17 @@ def _std(own: Known, name: str, otherwise: float) -> float:
 class _Truth:
     """The lateral acceleration of one log that its ground truth and yaw rate ask for."""
 
-    def __init__(self, drive: Drive, rows: np.ndarray, vehicle: Vehicle) -> None:
-        self.drive, self.rows, self.vehicle = drive, rows, vehicle
-        self.lateral = np.gradient(drive.vx * np.tan(drive.beta), drive.t)
-        self.turning = np.gradient(drive.yaw_rate, drive.t)
+    def __init__(self, trace: Trace, rows: np.ndarray, vehicle: Vehicle) -> None:
+        self.trace, self.rows, self.vehicle = trace, rows, vehicle
+        self.lateral = np.gradient(trace.vx * np.tan(trace.beta), trace.t)
+        self.turning = np.gradient(trace.yaw_rate, trace.t)
 
     def residuals(self, sensor: np.ndarray, yaw_bias: float, ay_bias: float) -> np.ndarray:
         position, roll_gradient, yaw_delay, ay_delay = sensor
-        drive, t = self.drive, self.drive.t
-        yaw_rate = np.interp(t + yaw_delay, t, drive.yaw_rate) - yaw_bias
-        asked = self.lateral + drive.vx * yaw_rate
-        leaning = lean(np.where(np.isfinite(asked), asked, drive.ay), self.vehicle)
+        trace, t = self.trace, self.trace.t
+        yaw_rate = np.interp(t + yaw_delay, t, trace.yaw_rate) - yaw_bias
+        asked = self.lateral + trace.vx * yaw_rate
+        leaning = lean(np.where(np.isfinite(asked), asked, trace.ay), self.vehicle)
         felt = asked + GRAVITY * roll_gradient * leaning + ay_bias
         felt = felt + position * np.interp(t + yaw_delay, t, self.turning)
-        return (felt - np.interp(t + ay_delay, t, drive.ay))[self.rows]
+        return (felt - np.interp(t + ay_delay, t, trace.ay))[self.rows]

@@ -17,9 +17,9 @@ from crosscomb.models.magic_formula import magic_formula
 from crosscomb.models.tyres import rational_tyre
 from crosscomb.models.vehicle import Vehicle
 from crosscomb.signals import GRAVITY
-from crosscomb.training.identification.drive import RATE, Drive, settled
-from crosscomb.training.identification.motion import Sensing, road_wheel_angle, run_model
 from crosscomb.training.identification.parameters import Fit, tyre_car
+from crosscomb.training.identification.response import Sensing, road_wheel_angle, run_model
+from crosscomb.training.identification.trace import RATE, Trace, settled
 
 LONGEST_SLIDE = 4.0
 """Seconds over which accelerations are integrated at most: an offset of 0.05 m/s^2 adds 0.6 deg at 20 m/s."""
@@ -54,18 +54,18 @@ class AxleCurve:
     magic: dict[str, tuple[float, float]] | None
 
 
-def tyre_curves(drives: list[Drive], vehicle: Vehicle, fit: Fit) -> dict[str, AxleCurve] | None:
+def tyre_curves(traces: list[Trace], vehicle: Vehicle, fit: Fit) -> dict[str, AxleCurve] | None:
     """Tyre curves of the front and rear axle; None where there is too little to draw one.
 
     Parameters
     ----------
-    drives : list of Drive
+    traces : list of Trace
     vehicle : Vehicle
         As identified.
     fit : Fit
-        Of `crosscomb.training.identification.handling.fit`, for the same drives.
+        Of `crosscomb.training.identification.handling.fit`, for the same traces.
     """
-    parts = [_points(drive, vehicle, fit, i) for i, drive in enumerate(drives)]
+    parts = [_points(trace, vehicle, fit, i) for i, trace in enumerate(traces)]
     points = np.concatenate(parts, axis=1)
     if points.shape[1] < 10 * LEAST_IN_BIN:
         return None
@@ -79,52 +79,52 @@ def tyre_curves(drives: list[Drive], vehicle: Vehicle, fit: Fit) -> dict[str, Ax
     }
 
 
-def _points(drive: Drive, vehicle: Vehicle, fit: Fit, i: int) -> np.ndarray:
+def _points(trace: Trace, vehicle: Vehicle, fit: Fit, i: int) -> np.ndarray:
     """Slip angle [rad] and force over load [-] of the front, then of the rear axle ``(4, m)``."""
     sensing = fit.sensing(i)
     a, b, mass = vehicle.cg_to_front_axle, vehicle.cg_to_rear_axle, vehicle.mass
-    steer = road_wheel_angle(drive, sensing, vehicle.plant.steer_lag)
-    yaw_rate, ay = _corrected(drive, sensing)
-    turning = np.gradient(yaw_rate, drive.t)
-    beta = _sideslip(drive, vehicle, fit, sensing, yaw_rate, ay)
-    pull = np.gradient(drive.vx, drive.t)
+    steer = road_wheel_angle(trace, sensing, vehicle.plant.steer_lag)
+    yaw_rate, ay = _corrected(trace, sensing)
+    turning = np.gradient(yaw_rate, trace.t)
+    beta = _sideslip(trace, vehicle, fit, sensing, yaw_rate, ay)
+    pull = np.gradient(trace.vx, trace.t)
     transfer = mass * pull * vehicle.cg_height / (a + b)
     load_f, load_r = mass * GRAVITY * b / (a + b) - transfer, mass * GRAVITY * a / (a + b) + transfer
     force_f = (mass * ay * b + vehicle.yaw_inertia * turning) / (a + b) / np.cos(steer)
     force_r = (mass * ay * a - vehicle.yaw_inertia * turning) / (a + b)
-    vx = np.maximum(drive.vx, 1.0)
+    vx = np.maximum(trace.vx, 1.0)
     slip_f = steer - np.arctan(np.tan(beta) + a * yaw_rate / vx)
-    slip_r = drive.steer_rear - np.arctan(np.tan(beta) - b * yaw_rate / vx)
-    rows = settled(drive.wild) & np.isfinite(beta)
+    slip_r = trace.steer_rear - np.arctan(np.tan(beta) - b * yaw_rate / vx)
+    rows = settled(trace.wild) & np.isfinite(beta)
     return np.stack([slip_f, force_f / load_f, slip_r, force_r / load_r])[:, rows]
 
 
-def _corrected(drive: Drive, sensing: Sensing) -> tuple[np.ndarray, np.ndarray]:
+def _corrected(trace: Trace, sensing: Sensing) -> tuple[np.ndarray, np.ndarray]:
     """Yaw rate [rad/s] and ay [m/s^2] at the centre of gravity, in step with the steering, without gravity."""
-    yaw_rate = np.interp(drive.t + sensing.yaw_delay, drive.t, drive.yaw_rate) - sensing.yaw_bias
-    felt = np.interp(drive.t + sensing.ay_delay, drive.t, drive.ay) - sensing.ay_bias
-    felt = felt - sensing.position * np.gradient(yaw_rate, drive.t)
+    yaw_rate = np.interp(trace.t + sensing.yaw_delay, trace.t, trace.yaw_rate) - sensing.yaw_bias
+    felt = np.interp(trace.t + sensing.ay_delay, trace.t, trace.ay) - sensing.ay_bias
+    felt = felt - sensing.position * np.gradient(yaw_rate, trace.t)
     return yaw_rate, felt / (1.0 + GRAVITY * sensing.roll_gradient)
 
 
 def _sideslip(
-    drive: Drive, vehicle: Vehicle, fit: Fit, sensing: Sensing, yaw_rate: np.ndarray, ay: np.ndarray
+    trace: Trace, vehicle: Vehicle, fit: Fit, sensing: Sensing, yaw_rate: np.ndarray, ay: np.ndarray
 ) -> np.ndarray:
     """Sideslip angle ``(n,) [rad]``; NaN where nothing tells it."""
-    if np.isfinite(drive.beta).any():
-        return np.interp(drive.t + sensing.beta_delay, drive.t, drive.beta) - sensing.beta_bias
+    if np.isfinite(trace.beta).any():
+        return np.interp(trace.t + sensing.beta_delay, trace.t, trace.beta) - sensing.beta_bias
     car = tyre_car(vehicle, fit.car)
-    motion = run_model(drive, drive.normal, car, fit.car["friction"], sensing)
-    good = settled(drive.normal)
-    lateral = np.where(good, drive.vx * np.tan(motion.beta), np.nan)
+    response = run_model(trace, trace.normal, car, fit.car["friction"], sensing)
+    good = settled(trace.normal)
+    lateral = np.where(good, trace.vx * np.tan(response.beta), np.nan)
     known = np.flatnonzero(good)
-    change = (ay - drive.vx * yaw_rate) / RATE
+    change = (ay - trace.vx * yaw_rate) / RATE
     for start, stop in pairwise(known):
-        if 1 < stop - start <= LONGEST_SLIDE * RATE and drive.wild[start:stop].all():
+        if 1 < stop - start <= LONGEST_SLIDE * RATE and trace.wild[start:stop].all():
             inside = lateral[start] + np.cumsum(change[start:stop])
             drift = lateral[stop] - inside[-1]
             lateral[start + 1 : stop] = (inside + drift * np.linspace(0.0, 1.0, stop - start))[:-1]
-    return np.arctan(lateral / np.maximum(drive.vx, 1.0))
+    return np.arctan(lateral / np.maximum(trace.vx, 1.0))
 
 
 def _curve(slip: np.ndarray, force: np.ndarray, load: float, vehicle: Vehicle, stiffness: float) -> AxleCurve:

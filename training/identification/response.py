@@ -22,7 +22,7 @@ from crosscomb.models.single_track import body_rates
 from crosscomb.models.tyres_combined import SLIP_STIFFNESS_RATIO, combined_forces
 from crosscomb.models.vehicle import Vehicle
 from crosscomb.signals import GRAVITY
-from crosscomb.training.identification.drive import RATE, Drive
+from crosscomb.training.identification.trace import RATE, Trace
 
 HOLD = 1.0
 """How strongly the model's yaw rate is drawn to the measured one [1/s].
@@ -61,8 +61,8 @@ class Sensing(NamedTuple):
     position: float = 0.0  # of the accelerometer ahead of the centre of gravity [m]
 
 
-class Motion(NamedTuple):
-    """Motion of the model; arrays ``(n,)``, NaN where it is not run."""
+class Response(NamedTuple):
+    """Response of the model to steering and speed; arrays ``(n,)``, NaN where it is not run."""
 
     yaw_rate: np.ndarray  # [rad/s]
     beta: np.ndarray  # [rad]
@@ -71,15 +71,15 @@ class Motion(NamedTuple):
 
 
 def run_model(
-    drive: Drive, running: np.ndarray, car: PlantParameters, friction: float, sensing: Sensing
-) -> Motion:
+    trace: Trace, running: np.ndarray, car: PlantParameters, friction: float, sensing: Sensing
+) -> Response:
     """Run the single track through a log.
 
     It starts anew, in steady cornering at the measured yaw rate, at the begin of every stretch.
 
     Parameters
     ----------
-    drive : Drive
+    trace : Trace
     running : ndarray
         ``(n,)`` bool: rows of the stretches in which it is run.
     car : PlantParameters
@@ -89,47 +89,47 @@ def run_model(
     """
     inputs = np.column_stack(
         [
-            drive.vx,
-            road_wheel_angle(drive, sensing, car.steer_lag),
-            drive.steer_rear,
-            np.gradient(drive.vx, drive.t),
-            np.interp(drive.t + sensing.yaw_delay, drive.t, drive.yaw_rate) - sensing.yaw_bias,
+            trace.vx,
+            road_wheel_angle(trace, sensing, car.steer_lag),
+            trace.steer_rear,
+            np.gradient(trace.vx, trace.t),
+            np.interp(trace.t + sensing.yaw_delay, trace.t, trace.yaw_rate) - sensing.yaw_bias,
         ]
     )
-    out = np.full((len(drive.t), 4), np.nan)
+    out = np.full((len(trace.t), 4), np.nan)
     _run(inputs, running, car, friction, 1.0 / RATE, out)
-    return Motion(*out.T)
+    return Response(*out.T)
 
 
-def road_wheel_angle(drive: Drive, sensing: Sensing, lag: float) -> np.ndarray:
+def road_wheel_angle(trace: Trace, sensing: Sensing, lag: float) -> np.ndarray:
     """Road-wheel angle ``(n,) [rad]`` of the front axle, as it would be without the delay that its lag [s] is.
 
     The lag takes from quick steering only; its delay is found together with those of the sensors.
     """
-    hand = follow(drive.hand, *_first_order(lag))
-    hand = np.interp(drive.t + lag, drive.t, hand)
-    return hand / (sensing.ratio if drive.ratio_open else sensing.steer_scale) - sensing.steer_offset
+    hand = follow(trace.hand, *_first_order(lag))
+    hand = np.interp(trace.t + lag, trace.t, hand)
+    return hand / (sensing.ratio if trace.ratio_open else sensing.steer_scale) - sensing.steer_offset
 
 
 def sensed(
-    motion: Motion, drive: Drive, sensing: Sensing, vehicle: Vehicle
+    response: Response, trace: Trace, sensing: Sensing, vehicle: Vehicle
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """What the yaw-rate sensor, the accelerometer and the reference show of a motion.
+    """What the yaw-rate sensor, the accelerometer and the reference show of a response.
 
     Returns
     -------
     yaw_rate, ay, beta : ndarray
         ``(n,)`` [rad/s], [m/s^2], [rad]; NaN where the model is not run.
     """
-    known = np.where(np.isfinite(motion.ay), motion.ay, drive.ay)
-    felt = motion.ay + GRAVITY * sensing.roll_gradient * lean(known, vehicle)
-    t = drive.t
+    known = np.where(np.isfinite(response.ay), response.ay, trace.ay)
+    felt = response.ay + GRAVITY * sensing.roll_gradient * lean(known, vehicle)
+    t = trace.t
     # The lever arm acts with the turning that was measured: no model is needed for it.
-    felt = felt + sensing.position * np.interp(t + sensing.yaw_delay, t, np.gradient(drive.yaw_rate, t))
+    felt = felt + sensing.position * np.interp(t + sensing.yaw_delay, t, np.gradient(trace.yaw_rate, t))
     return (
-        np.interp(t - sensing.yaw_delay, t, motion.yaw_rate) + sensing.yaw_bias,
+        np.interp(t - sensing.yaw_delay, t, response.yaw_rate) + sensing.yaw_bias,
         np.interp(t - sensing.ay_delay, t, felt) + sensing.ay_bias,
-        np.interp(t - sensing.beta_delay, t, motion.beta) + sensing.beta_bias,
+        np.interp(t - sensing.beta_delay, t, response.beta) + sensing.beta_bias,
     )
 
 

@@ -1,4 +1,4 @@
-"""From a fit to findings: which values are taken, with which interval, and in words why others are not."""
+"""From a fit to judgements: which values are taken, with which interval, and in words why others are not."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ SAID = {
 
 
 @dataclass(frozen=True)
-class Finding:
+class Judgement:
     """One parameter before and after.
 
     Attributes
@@ -103,9 +103,9 @@ class Finding:
     word: str
 
 
-def handling_findings(vehicle: Vehicle, found: Fit, ratio_open: bool) -> dict[str, Finding]:
-    """Every finding of the joint fit."""
-    findings = {}
+def judge_handling(vehicle: Vehicle, found: Fit, ratio_open: bool) -> dict[str, Judgement]:
+    """Judge all that the joint fit sought."""
+    judgements = {}
     for one in CAR:
         if one.name in NUISANCES:
             continue
@@ -114,14 +114,14 @@ def handling_findings(vehicle: Vehicle, found: Fit, ratio_open: bool) -> dict[st
             value = found.car[one.name]
             # A body does not lean into the bend; gravity taken out of ay too well may look so.
             value = max(value, 0.0) if one.name == "roll_gradient" else value
-            findings[one.name] = finding(one.name, start, value, found.car_std[one.name])
+            judgements[one.name] = judge(one.name, start, value, found.car_std[one.name])
             away = (np.log(value / start) if one.positive else value - start) / one.spread
             if one.name in IN_VEHICLE and abs(away) > IMPLAUSIBLE:
                 word = "contradicts the vehicle file; check both: left as it was"
-                findings[one.name] = replace(findings[one.name], after=start, taken=False, word=word)
+                judgements[one.name] = replace(judgements[one.name], after=start, taken=False, word=word)
         elif one.name == "steering_ratio" and not ratio_open:
             word = "the road-wheel angle is measured itself: left as it was"
-            findings[one.name] = Finding(one.name, "-", start, start, np.nan, np.nan, False, word)
+            judgements[one.name] = Judgement(one.name, "-", start, start, np.nan, np.nan, False, word)
     for one in LOG:
         if one.name in found.log_std[0]:
             values = np.array([offsets[one.name] for offsets in found.logs])
@@ -130,11 +130,11 @@ def handling_findings(vehicle: Vehicle, found: Fit, ratio_open: bool) -> dict[st
             mean = float(weights @ values)
             # The interval holds what the offset is in any one log.
             scatter = float(weights @ (values - mean) ** 2)
-            findings[one.name] = finding(one.name, 0.0, mean, float(np.sqrt(least + scatter)))
-    return findings
+            judgements[one.name] = judge(one.name, 0.0, mean, float(np.sqrt(least + scatter)))
+    return judgements
 
 
-def finding(name: str, start: float, value: float, std: float) -> Finding:
+def judge(name: str, start: float, value: float, std: float) -> Judgement:
     """Judge one value.
 
     Parameters
@@ -158,10 +158,12 @@ def finding(name: str, start: float, value: float, std: float) -> Finding:
         word = "not excited by these logs: left as it was"
     else:
         word = "the value before does not fit, but these logs tell no better one: left as it was"
-    return Finding(name, measure.unit, start, value if taken else start, float(low), float(high), taken, word)
+    return Judgement(
+        name, measure.unit, start, value if taken else start, float(low), float(high), taken, word
+    )
 
 
-def friction_finding(start: float, fitted: Finding, used: float, found: Fit) -> Finding:
+def judge_friction(start: float, fitted: Judgement, used: float, found: Fit) -> Judgement:
     """The friction counts where most of it was used; less than was used it cannot be."""
     used = used / (1.0 + GRAVITY * max(found.car["roll_gradient"], 0.0))
     value = found.car["friction"]
@@ -177,33 +179,35 @@ def friction_finding(start: float, fitted: Finding, used: float, found: Fit) -> 
     return fitted
 
 
-def tyre_findings(vehicle: Vehicle, tyres: dict[str, AxleCurve] | None) -> dict[str, Finding]:
+def judge_tyres(vehicle: Vehicle, tyres: dict[str, AxleCurve] | None) -> dict[str, Judgement]:
     """What the tyre curves tell: parameters of two laws per axle, and the shape for the vehicle file."""
-    findings: dict[str, Finding] = {}
+    judgements: dict[str, Judgement] = {}
     for axle, curve in (tyres or {}).items():
         for law, found in (("rational", curve.rational), ("magic", curve.magic)):
             for name, (value, std) in (found or {}).items():
                 low, high = value * np.exp(-Z95 * std), value * np.exp(Z95 * std)
                 key = f"{law}_{name}_{axle}"
-                findings[key] = Finding(
+                judgements[key] = Judgement(
                     key, TYRE_UNITS[name], np.nan, value, low, high, False, "for reference"
                 )
     shapes = [curve.magic["C"] for curve in (tyres or {}).values() if curve.magic]
     start = vehicle.tyre.shape
     if not shapes:
         word = "never slid far enough: left as it was"
-        return findings | {
-            "tyre.shape": Finding("tyre.shape", "-", start, start, np.nan, np.nan, False, word)
+        return judgements | {
+            "tyre.shape": Judgement("tyre.shape", "-", start, start, np.nan, np.nan, False, word)
         }
     values, stds = np.array(shapes).T
     weights = 1.0 / np.maximum(stds, 0.02) ** 2
     mean = float(np.exp(weights @ np.log(values) / weights.sum()))
-    return findings | {"tyre.shape": finding("tyre.shape", start, mean, float(weights.sum() ** -0.5))}
+    return judgements | {"tyre.shape": judge("tyre.shape", start, mean, float(weights.sum() ** -0.5))}
 
 
-def fitted_vehicle(vehicle: Vehicle, findings: dict[str, Finding]) -> Vehicle:
+def fitted_vehicle(vehicle: Vehicle, judgements: dict[str, Judgement]) -> Vehicle:
     """The vehicle with what was found, inside what a vehicle file may hold."""
-    found = {name: findings[name].after for name in IN_VEHICLE if name in findings and findings[name].taken}
+    found = {
+        name: judgements[name].after for name in IN_VEHICLE if name in judgements and judgements[name].taken
+    }
     if "roll_gradient" in found:
         found["roll_gradient"] = min(found["roll_gradient"], 0.099)
     if "cg_to_rear_axle" in found:
@@ -213,9 +217,9 @@ def fitted_vehicle(vehicle: Vehicle, findings: dict[str, Finding]) -> Vehicle:
     return Vehicle(**(vehicle.model_dump() | found))
 
 
-def fitted_tyre(vehicle: Vehicle, findings: dict[str, Finding]) -> Vehicle:
+def fitted_tyre(vehicle: Vehicle, judgements: dict[str, Judgement]) -> Vehicle:
     """The vehicle with the shape of its tyre curve, where that was found."""
-    shape = findings["tyre.shape"]
+    shape = judgements["tyre.shape"]
     if not shape.taken:
         return vehicle
     tyre = vehicle.tyre.model_copy(update={"shape": float(np.clip(shape.after, 1.01, 1.99))})

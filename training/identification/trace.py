@@ -29,7 +29,7 @@ DERIVED = 1e-3
 
 
 @dataclass(frozen=True)
-class Drive:
+class Trace:
     """A log on a regular grid. All arrays ``(n,)``, SI units, smoothed with zero phase.
 
     Attributes
@@ -64,7 +64,7 @@ class Drive:
     wild: np.ndarray
 
 
-def make_drive(signals: Signals, vehicle: Vehicle, use_reference: bool = True) -> Drive | None:
+def make_trace(signals: Signals, vehicle: Vehicle, use_reference: bool = True) -> Trace | None:
     """Prepare one log; None where it holds no driving that says anything.
 
     Parameters
@@ -109,7 +109,7 @@ def make_drive(signals: Signals, vehicle: Vehicle, use_reference: bool = True) -
     drivable = there & (vx > MIN_SPEED + 0.5) & (np.abs(np.gradient(vx, grid)) < MOST_AX)
     if not drivable.any():
         return None
-    return Drive(
+    return Trace(
         name=signals.name, t=grid, vx=vx, ax=ax, ay=ay, yaw_rate=yaw_rate, hand=hand, steer_rear=rear, beta=beta,
         ratio_open=ratio_open, normal=drivable & (np.abs(ay) < NORMAL_AY), wild=drivable,
     )  # fmt: skip
