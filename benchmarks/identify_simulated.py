@@ -24,7 +24,7 @@ from crosscomb.training.simulation.road import draw_road
 from crosscomb.training.simulation.scene import Scene
 from crosscomb.training.simulation.schedule import CONTROL_PERIOD
 from crosscomb.training.simulation.sensors import PERFECT, PRODUCTION, SensorFaults, draw_faults, measure
-from crosscomb.training.simulation.simulate import run_plan
+from crosscomb.training.simulation.simulate import run_script
 from crosscomb.training.simulation.spread import draw_driver
 
 EXCITED = (
@@ -152,9 +152,9 @@ def _drive(true: Vehicle, manoeuvre: str, duration: float, faults: SensorFaults,
     rng = np.random.Generator(np.random.SFC64(seed))
     n = round(duration * 100)
     road = draw_road(true, "dry", 0.9, n, rng, level=True)
-    plan = MANOEUVRES[manoeuvre](Scene(make_plant(true), true.plant.top_speed, road, rng))
+    script = MANOEUVRES[manoeuvre](Scene(make_plant(true), true.plant.top_speed, road, rng))
     return make_signals(
-        measure(run_plan(plan, make_plant(true), draw_driver(rng)), true, faults, rng), manoeuvre
+        measure(run_script(script, make_plant(true), draw_driver(rng)), true, faults, rng), manoeuvre
     )
 
 

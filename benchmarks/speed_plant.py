@@ -16,7 +16,7 @@ from crosscomb.models.vehicle import load_vehicle
 from crosscomb.training.simulation.manoeuvres import MANOEUVRES
 from crosscomb.training.simulation.road import draw_road
 from crosscomb.training.simulation.scene import Scene
-from crosscomb.training.simulation.simulate import run_plan, simulate_data_set
+from crosscomb.training.simulation.simulate import run_script, simulate_data_set
 from crosscomb.training.simulation.spread import draw_driver, draw_plant
 
 SECONDS = 40.0
@@ -29,12 +29,12 @@ def real_time_factor(manoeuvre: str) -> float:
     rng = np.random.default_rng(1)
     plant = draw_plant(vehicle, manoeuvre, rng)
     road = draw_road(vehicle, "dry", None, round(SECONDS * 100.0), rng)
-    plan = MANOEUVRES[manoeuvre](Scene(plant, vehicle.plant.top_speed, road, rng))
+    script = MANOEUVRES[manoeuvre](Scene(plant, vehicle.plant.top_speed, road, rng))
     driver = draw_driver(rng)
     times = []
     for _ in range(REPEATS + 1):
         begin = time.process_time()
-        run_plan(plan, plant, driver)
+        run_script(script, plant, driver)
         times.append(time.process_time() - begin)
     return SECONDS / min(times[1:])
 

@@ -17,7 +17,7 @@ from crosscomb.training.simulation.presets import PRESETS, plan_jobs
 from crosscomb.training.simulation.road import SURFACES, level_road
 from crosscomb.training.simulation.scene import Scene
 from crosscomb.training.simulation.schedule import AX, AY, PATH_HEADING, PATH_Y, PROFILE, SLIDE, Driver
-from crosscomb.training.simulation.simulate import run_plan, simulate_data_set, simulate_log
+from crosscomb.training.simulation.simulate import run_script, simulate_data_set, simulate_log
 
 CAR = Vehicle(
     name='car "with" quotes',
@@ -117,8 +117,8 @@ def test_normal_driving_does_not_slide(manoeuvre):
 @pytest.mark.parametrize("manoeuvre", ["lap_limit", "drift", "road_slide", "brake_in_turn"])
 @pytest.mark.parametrize("friction", [0.3, 0.95])
 def test_acceleration_is_bounded_by_friction(manoeuvre, friction):
-    plant, plan = scene(manoeuvre, friction, 20.0)
-    truth = run_plan(plan, plant, DRIVER)
+    plant, script = scene(manoeuvre, friction, 20.0)
+    truth = run_script(script, plant, DRIVER)
     total = np.hypot(truth[:, AX] + plant.drag / plant.mass * truth[:, 0] ** 2, truth[:, AY])
     assert total.max() < 1.03 * friction * GRAVITY
     assert total.max() > 0.6 * friction * GRAVITY
@@ -126,11 +126,11 @@ def test_acceleration_is_bounded_by_friction(manoeuvre, friction):
 
 @pytest.mark.parametrize("manoeuvre", ["step_steer", "country_road", "drift"])
 def test_mirrored_manoeuvre_gives_mirrored_motion(manoeuvre):
-    plant, plan = scene(manoeuvre, 0.9)
-    left = run_plan(plan, plant, DRIVER)
-    plan.schedule[:, [PROFILE, SLIDE]] *= -1.0
-    plan.path = plan.path * np.where(np.isin(np.arange(4), [PATH_Y, PATH_HEADING]), -1.0, 1.0)
-    right = run_plan(plan, plant, DRIVER)
+    plant, script = scene(manoeuvre, 0.9)
+    left = run_script(script, plant, DRIVER)
+    script.schedule[:, [PROFILE, SLIDE]] *= -1.0
+    script.path = script.path * np.where(np.isin(np.arange(4), [PATH_Y, PATH_HEADING]), -1.0, 1.0)
+    right = run_script(script, plant, DRIVER)
     assert np.abs(left[:, 1]).max() > 0.1
     np.testing.assert_allclose(left[:, 0], right[:, 0], rtol=0.0, atol=1e-9)
     np.testing.assert_allclose(left[:, [1, 2, AY]], -right[:, [1, 2, AY]], rtol=0.0, atol=1e-9)
@@ -138,8 +138,8 @@ def test_mirrored_manoeuvre_gives_mirrored_motion(manoeuvre):
 
 @pytest.mark.parametrize("manoeuvre", ["lap_limit", "drift"])
 def test_half_the_step_changes_no_beta_with_the_driver_in_the_loop(manoeuvre):
-    plant, plan = scene(manoeuvre, 0.9)
-    whole, half = (run_plan(plan, plant, DRIVER, step) for step in (0.001, 0.0005))
+    plant, script = scene(manoeuvre, 0.9)
+    whole, half = (run_script(script, plant, DRIVER, step) for step in (0.001, 0.0005))
     beta, beta_half = (np.degrees(np.arctan2(x[:, 1], x[:, 0])) for x in (whole, half))
     assert np.abs(beta).max() > 1.0
     assert np.abs(beta - beta_half).max() < 0.01
@@ -331,8 +331,8 @@ def test_bank_is_felt_by_the_accelerometer_without_turning():
     flat = np.zeros(n)
     friction = np.full(n, 0.9)
     road = replace(level_road(friction), bank=flat + 0.05)
-    plan = MANOEUVRES["straight"](Scene(plant, 36.0, road, np.random.default_rng(1)))
-    truth = run_plan(plan, plant, DRIVER)
+    script = MANOEUVRES["straight"](Scene(plant, 36.0, road, np.random.default_rng(1)))
+    truth = run_script(script, plant, DRIVER)
     assert np.mean(truth[200:, AY]) == pytest.approx(GRAVITY * 0.05, rel=0.15)
     assert abs(np.mean(truth[200:, 2])) < 0.01
 

@@ -1,4 +1,4 @@
-"""The catalogue of manoeuvres: each makes a plan for the driver from a scene."""
+"""The catalogue of manoeuvres: each makes a script for the driver from a scene."""
 
 from __future__ import annotations
 
@@ -9,41 +9,41 @@ import numpy as np
 from crosscomb.training.simulation import manoeuvres_path as path
 from crosscomb.training.simulation import manoeuvres_slide as slide
 from crosscomb.training.simulation import manoeuvres_steer as steering
-from crosscomb.training.simulation.scene import Plan, Scene, segments, wander
+from crosscomb.training.simulation.scene import Scene, Script, segments, wander
 from crosscomb.training.simulation.schedule import PROFILE, SPEED
 
 
-def stop_and_go(scene: Scene) -> Plan:
+def stop_and_go(scene: Scene) -> Script:
     """From standstill, town turns, and to standstill again."""
-    plan = scene.plan(0.0)
+    script = scene.script(0.0)
     for i, part in enumerate(segments(scene, 4.0, 9.0)):
-        plan.schedule[part, SPEED] = 0.0 if i % 3 == 0 else scene.speed(3.0, 14.0)
+        script.schedule[part, SPEED] = 0.0 if i % 3 == 0 else scene.speed(3.0, 14.0)
     limit = scene.steer_for(min(3.0, 0.4 * scene.grip), 8.0)
-    plan.schedule[:, PROFILE] = np.clip(wander(scene, 0.6 * limit, 2.0), -limit, limit)
-    return plan
+    script.schedule[:, PROFILE] = np.clip(wander(scene, 0.6 * limit, 2.0), -limit, limit)
+    return script
 
 
-def u_turn(scene: Scene) -> Plan:
+def u_turn(scene: Scene) -> Script:
     """U-turns near full lock at walking pace to 6 m/s, with runs straight ahead between."""
-    plan = scene.plan(scene.speed(3.5, 6.0))
+    script = scene.script(scene.speed(3.5, 6.0))
     for i, part in enumerate(segments(scene, 4.0, 8.0)):
         lock = min(
-            scene.rng.uniform(0.5, 0.95) * scene.plant.max_steer, abs(scene.throw(0.6, 0.6, plan.speed))
+            scene.rng.uniform(0.5, 0.95) * scene.plant.max_steer, abs(scene.throw(0.6, 0.6, script.speed))
         )
-        plan.schedule[part, PROFILE] = scene.side * lock if i % 2 else 0.0
-    return plan
+        script.schedule[part, PROFILE] = scene.side * lock if i % 2 else 0.0
+    return script
 
 
-def reversing(scene: Scene) -> Plan:
+def reversing(scene: Scene) -> Script:
     """Forwards, a stop, backwards with steering, a stop, and so on."""
-    plan = scene.plan(0.0)
+    script = scene.script(0.0)
     for i, part in enumerate(segments(scene, 4.0, 7.0)):
-        plan.schedule[part, SPEED] = (scene.speed(3.0, 8.0), 0.0, -scene.rng.uniform(1.0, 4.0), 0.0)[i % 4]
-    plan.schedule[:, PROFILE] = np.clip(wander(scene, 0.1, 2.0), -0.25, 0.25)
-    return plan
+        script.schedule[part, SPEED] = (scene.speed(3.0, 8.0), 0.0, -scene.rng.uniform(1.0, 4.0), 0.0)[i % 4]
+    script.schedule[:, PROFILE] = np.clip(wander(scene, 0.1, 2.0), -0.25, 0.25)
+    return script
 
 
-Builder = Callable[[Scene], Plan]
+Builder = Callable[[Scene], Script]
 
 NORMAL: dict[str, Builder] = {
     "country_road": path.country_road,

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from crosscomb.training.simulation.scene import (
-    Plan,
     Scene,
+    Script,
     curve_path,
     lane_path,
     segments,
@@ -23,12 +23,12 @@ from crosscomb.training.simulation.schedule import (
 )
 
 
-def _driven(scene: Scene, curvature: np.ndarray, ay: float, top: float) -> Plan:
+def _driven(scene: Scene, curvature: np.ndarray, ay: float, top: float) -> Script:
     """Follow a path of a curvature [1/m] per metre at a lateral acceleration [m/s^2] up to a speed [m/s]."""
     speed = speed_profile(curvature, ay, top, min(2.5, 0.4 * scene.grip), min(3.5, 0.5 * scene.grip))
-    plan = scene.plan(top, curve_path(curvature, speed), FOLLOW_PATH)
-    plan.speed = float(speed[0])
-    return plan
+    script = scene.script(top, curve_path(curvature, speed), FOLLOW_PATH)
+    script.speed = float(speed[0])
+    return script
 
 
 def _length(scene: Scene, top: float) -> int:
@@ -71,20 +71,20 @@ def _lap(scene: Scene, top: float, size: float) -> np.ndarray:
     return scene.side * np.resize(np.clip(lap, -1.0 / 8.0, 1.0 / 8.0), _length(scene, top))
 
 
-def town(scene: Scene) -> Plan:
+def town(scene: Scene) -> Script:
     """Tight bends of 7 to 40 m at 3 to 14 m/s, as in a town or on a handling course driven calmly."""
     top = scene.speed(5.0, 14.0)
     return _driven(scene, _bends(scene, top, 7.0, 40.0), scene.cornering(0.2, 0.5, 5.0), top)
 
 
-def country_road(scene: Scene) -> Plan:
+def country_road(scene: Scene) -> Script:
     """Winding road at 0.15 to 0.5 of the grip."""
     top = scene.speed(12.0, 35.0)
     widest = max(top**2 / 1.5, 60.0)
     return _driven(scene, _bends(scene, top, 20.0, widest), scene.cornering(0.15, 0.5, 5.0), top)
 
 
-def motorway(scene: Scene) -> Plan:
+def motorway(scene: Scene) -> Script:
     """Wide bends and gentle changes of lane at the speed of a motorway."""
     top = scene.speed(22.0, 45.0)
     curvature = _bends(scene, top, 400.0, 3000.0)
@@ -96,7 +96,7 @@ def motorway(scene: Scene) -> Plan:
     return _driven(scene, curvature + swing, scene.cornering(0.2, 0.5, 4.0), top)
 
 
-def oval(scene: Scene) -> Plan:
+def oval(scene: Scene) -> Script:
     """Laps of a small oval: half circles of 7 to 25 m, mostly geometric sideslip."""
     radius, straight = scene.radius(7.0, 25.0), scene.rng.uniform(10.0, 80.0)
     top = scene.speed(6.0, 13.0)
@@ -105,64 +105,64 @@ def oval(scene: Scene) -> Plan:
     return _driven(scene, scene.side * lap, scene.cornering(0.2, 0.65, 6.5), top)
 
 
-def lap(scene: Scene) -> Plan:
+def lap(scene: Scene) -> Script:
     """Laps of a closed course, well below the limit."""
     top = scene.speed(10.0, 40.0)
     return _driven(scene, _lap(scene, top, 1.5 * scene.radius(20.0, 80.0)), scene.cornering(0.25, 0.6), top)
 
 
-def lap_limit(scene: Scene) -> Plan:
+def lap_limit(scene: Scene) -> Script:
     """Laps of a closed course at the limit, as on a race track."""
     top = scene.speed(20.0, 65.0)
     size = scene.rng.uniform(40.0, 90.0) * max(top / 30.0, 1.0)
     return _driven(scene, _lap(scene, top, size), scene.cornering(0.8, 1.02), top)
 
 
-def road_limit(scene: Scene) -> Plan:
+def road_limit(scene: Scene) -> Script:
     """Winding road at the limit."""
     top = scene.speed(15.0, 36.0)
     return _driven(scene, _bends(scene, top, 20.0, 250.0), scene.cornering(0.85, 1.05), top)
 
 
-def road_slide(scene: Scene) -> Plan:
+def road_slide(scene: Scene) -> Script:
     """Winding road with power or handbrake in the bends; the driver catches the slide and goes on."""
     top = scene.speed(12.0, 25.0)
-    plan = _driven(scene, _bends(scene, top, 15.0, 80.0), scene.cornering(0.75, 0.95), top)
+    script = _driven(scene, _bends(scene, top, 15.0, 80.0), scene.cornering(0.75, 0.95), top)
     pull = scene.plant.share_front == 1.0
     column, size = (EXTRA_HANDBRAKE, 1.2) if pull else (EXTRA_DRIVE, 0.6)
     for part in segments(scene, 3.0, 6.0):
         burst = slice(part.start, part.start + int(scene.rng.uniform(0.4, 1.2) / CONTROL_PERIOD))
-        plan.schedule[burst, column] = size * scene.road.grip[part.start]
-    return plan
+        script.schedule[burst, column] = size * scene.road.grip[part.start]
+    return script
 
 
-def _circle(scene: Scene, radius: float) -> Plan:
+def _circle(scene: Scene, radius: float) -> Script:
     length = _length(scene, scene.highest())
     curvature = scene.side / radius * np.clip((np.arange(length) - 10.0) / 20.0, 0.0, 1.0)
-    plan = scene.plan(0.0, curve_path(curvature, np.full(length, scene.highest())), FOLLOW_PATH)
-    plan.speed = min(float(np.sqrt(0.15 * scene.grip * radius)), scene.highest())
-    return plan
+    script = scene.script(0.0, curve_path(curvature, np.full(length, scene.highest())), FOLLOW_PATH)
+    script.speed = min(float(np.sqrt(0.15 * scene.grip * radius)), scene.highest())
+    return script
 
 
-def circle(scene: Scene) -> Plan:
+def circle(scene: Scene) -> Script:
     """Constant radius, speed held in steps below the limit."""
     radius = scene.radius(8.0, 100.0)
-    plan = _circle(scene, radius)
+    script = _circle(scene, radius)
     for part in segments(scene, 6.0, 12.0):
-        plan.schedule[part, SPEED] = np.sqrt(scene.cornering(0.05, 0.6) * radius)
-    return plan
+        script.schedule[part, SPEED] = np.sqrt(scene.cornering(0.05, 0.6) * radius)
+    return script
 
 
-def circle_speed_rise(scene: Scene) -> Plan:
+def circle_speed_rise(scene: Scene) -> Script:
     """Constant radius, speed rising past the limit (ISO 4138)."""
     radius = scene.radius(25.0, 100.0)
-    plan = _circle(scene, radius)
+    script = _circle(scene, radius)
     limit = np.sqrt(scene.grip * radius)
-    plan.schedule[:, SPEED] = np.interp(scene.t, [0.0, 0.8 * scene.t[-1]], [0.4 * limit, 1.1 * limit])
-    return plan
+    script.schedule[:, SPEED] = np.interp(scene.t, [0.0, 0.8 * scene.t[-1]], [0.4 * limit, 1.1 * limit])
+    return script
 
 
-def lane_change(scene: Scene) -> Plan:
+def lane_change(scene: Scene) -> Script:
     """Single lane changes to and fro, from gentle to at the limit."""
     speed = scene.speed(8.0, 40.0)
     share = scene.rng.uniform(0.15, 1.0)
@@ -175,10 +175,10 @@ def lane_change(scene: Scene) -> Plan:
         side += width * smooth(np.arange(len(side)) - float(at), length)
         where += width
         at += int(length + scene.rng.uniform(2.0, 5.0) * speed)
-    return scene.plan(speed, lane_path(scene.side * side, speed), FOLLOW_PATH)
+    return scene.script(speed, lane_path(scene.side * side, speed), FOLLOW_PATH)
 
 
-def double_lane_change(scene: Scene) -> Plan:
+def double_lane_change(scene: Scene) -> Script:
     """Double lane changes to either side: lengths of ISO 3888-1 above 20 m/s, of ISO 3888-2 below."""
     speed = min(scene.rng.uniform(0.7, 1.15) * np.sqrt(scene.grip * 40.0), scene.highest())
     out, stay, back = (30.0, 25.0, 25.0) if speed > 20.0 else (13.5, 11.0, 12.5)
@@ -188,10 +188,10 @@ def double_lane_change(scene: Scene) -> Plan:
         offset = scene.side * scene.rng.uniform(2.5, 3.6)
         along = np.arange(len(side)) - float(at)
         side += offset * (smooth(along, out) - smooth(along - out - stay, back))
-    return scene.plan(speed, lane_path(side, speed), FOLLOW_PATH)
+    return scene.script(speed, lane_path(side, speed), FOLLOW_PATH)
 
 
-def straight(scene: Scene) -> Plan:
+def straight(scene: Scene) -> Script:
     """Straight driving at changing speed, wandering a little in the lane."""
     top = scene.speed(15.0, 45.0)
     side = (
@@ -199,35 +199,35 @@ def straight(scene: Scene) -> Plan:
         * np.cumsum(np.convolve(scene.rng.standard_normal(_length(scene, top) + 60), np.ones(61), "valid"))
         / 61.0
     )
-    plan = scene.plan(top, lane_path(0.05 * side, top), FOLLOW_PATH)
+    script = scene.script(top, lane_path(0.05 * side, top), FOLLOW_PATH)
     for part in segments(scene, 5.0, 12.0):
-        plan.schedule[part, SPEED] = scene.speed(5.0, top)
-    return plan
+        script.schedule[part, SPEED] = scene.speed(5.0, top)
+    return script
 
 
-def brake_in_turn(scene: Scene) -> Plan:
+def brake_in_turn(scene: Scene) -> Script:
     """Braking or lifting off in a bend (ISO 7975), up to locked wheels."""
     return _pedals_in_turn(scene, (EXTRA_BRAKE,), 1.05)
 
 
-def power_in_turn(scene: Scene) -> Plan:
+def power_in_turn(scene: Scene) -> Script:
     """Accelerating in a bend, up to spinning wheels."""
     return _pedals_in_turn(scene, (EXTRA_DRIVE,), 0.6)
 
 
-def pedals_in_turn(scene: Scene) -> Plan:
+def pedals_in_turn(scene: Scene) -> Script:
     """Braking and accelerating in a bend by turns."""
     return _pedals_in_turn(scene, (EXTRA_BRAKE, EXTRA_DRIVE), 0.6)
 
 
-def _pedals_in_turn(scene: Scene, columns: tuple[int, ...], most: float) -> Plan:
+def _pedals_in_turn(scene: Scene, columns: tuple[int, ...], most: float) -> Script:
     radius = scene.radius(20.0, 90.0)
-    plan = _circle(scene, radius)
-    plan.schedule[:, SPEED] = min(float(np.sqrt(scene.cornering(0.4, 0.9) * radius)), scene.highest())
+    script = _circle(scene, radius)
+    script.schedule[:, SPEED] = min(float(np.sqrt(scene.cornering(0.4, 0.9) * radius)), scene.highest())
     for i, part in enumerate(segments(scene, 5.0, 8.0)):
         begin = min(part.start + 300, part.stop)
         press = slice(begin, min(begin + int(scene.rng.uniform(80, 200)), part.stop))
-        plan.schedule[press, SPEED] = np.nan
+        script.schedule[press, SPEED] = np.nan
         size = scene.rng.uniform(0.0, most)
-        plan.schedule[press, columns[i % len(columns)]] = size * scene.road.grip[press]
-    return plan
+        script.schedule[press, columns[i % len(columns)]] = size * scene.road.grip[press]
+    return script

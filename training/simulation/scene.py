@@ -1,4 +1,4 @@
-"""What a manoeuvre is planned with: the scene, the plan, and the pieces plans are made of."""
+"""What a manoeuvre is planned with: the scene, the script, and the pieces scripts are made of."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ NO_PATH = np.zeros((1, 4))
 
 
 @dataclass
-class Plan:
+class Script:
     """What the driver is to do: start speed [m/s], schedule ``(n, COLUMNS)``, path ``(m, 4)``."""
 
     speed: float
@@ -89,8 +89,8 @@ class Scene:
         """Steering to a chance side, for a chance share of the grip between two bounds [rad]."""
         return self.side * self.steer_for(self.rng.uniform(low, high) * self.grip, speed)
 
-    def plan(self, speed: float, path: np.ndarray = NO_PATH, mode: float = OPEN_LOOP) -> Plan:
-        """A plan that holds a speed [m/s] straight ahead, or along a path."""
+    def script(self, speed: float, path: np.ndarray = NO_PATH, mode: float = OPEN_LOOP) -> Script:
+        """A script that holds a speed [m/s] straight ahead, or along a path."""
         schedule = np.zeros((len(self.t), COLUMNS))
         schedule[:, SPEED] = speed
         schedule[:, MODE] = mode
@@ -99,7 +99,7 @@ class Scene:
         schedule[:, ROAD_SLOPE] = self.road.slope
         schedule[:, ROAD_BANK] = self.road.bank
         schedule[:, ROAD_DIP] = self.road.dip
-        return Plan(speed, schedule, path)
+        return Script(speed, schedule, path)
 
 
 def wander(scene: Scene, size: float, period: float) -> np.ndarray:

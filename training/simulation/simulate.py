@@ -23,7 +23,7 @@ from crosscomb.training.simulation.driver import run_manoeuvre, start
 from crosscomb.training.simulation.manoeuvres import MANOEUVRES
 from crosscomb.training.simulation.presets import Job, plan_jobs
 from crosscomb.training.simulation.road import SURFACES, draw_road
-from crosscomb.training.simulation.scene import Plan, Scene
+from crosscomb.training.simulation.scene import Scene, Script
 from crosscomb.training.simulation.schedule import CONTROL_PERIOD, RECORD, Driver
 from crosscomb.training.simulation.sensors import PERFECT, PROFILES, draw_faults, measure
 from crosscomb.training.simulation.spread import draw_driver, draw_plant
@@ -93,8 +93,8 @@ def simulate_log(
     n = round(duration / CONTROL_PERIOD)
     plant = draw_plant(vehicle, manoeuvre, rng, spread)
     road = draw_road(vehicle, surface, friction, n, rng, level=not spread)
-    plan = MANOEUVRES[manoeuvre](Scene(plant, vehicle.plant.top_speed, road, rng))
-    truth = run_plan(plan, plant, draw_driver(rng))
+    script = MANOEUVRES[manoeuvre](Scene(plant, vehicle.plant.top_speed, road, rng))
+    truth = run_script(script, plant, draw_driver(rng))
     wrong = draw_faults(rng, PROFILES[sensors], n) if faults else PERFECT
     log = make_signals(measure(truth, vehicle, wrong, rng), name or manoeuvre, "simulation")
     return replace(log, notes=_notes(road.grip, plant, vehicle))
@@ -117,10 +117,10 @@ def _notes(grip: np.ndarray, plant: PlantParameters, vehicle: Vehicle) -> tuple[
     )
 
 
-def run_plan(plan: Plan, plant: PlantParameters, driver: Driver, step: float = STEP) -> np.ndarray:
-    """Simulate a plan; returns the truth ``(n, RECORD)`` at 100 Hz, SI (columns of `training.schedule`)."""
-    record = np.empty((len(plan.schedule), RECORD))
-    run_manoeuvre(start(plan.speed, plant), plan.schedule, plan.path, driver, plant, step, record)
+def run_script(script: Script, plant: PlantParameters, driver: Driver, step: float = STEP) -> np.ndarray:
+    """Simulate a script; returns the truth ``(n, RECORD)`` at 100 Hz, SI (columns of `training.schedule`)."""
+    record = np.empty((len(script.schedule), RECORD))
+    run_manoeuvre(start(script.speed, plant), script.schedule, script.path, driver, plant, step, record)
     return record
 
 
