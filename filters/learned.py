@@ -38,7 +38,7 @@ PAST = 512
 """Samples of beta that are kept for the feedback."""
 
 
-class Network(NamedTuple):
+class Neurons(NamedTuple):
     """A trained network as plain numbers, as it stands in a JSON file."""
 
     mean: tuple[float, ...]  # of the inputs, in SI units
@@ -146,7 +146,7 @@ def network_run(state, samples, net, noise, dt, out):
         network_step(state, samples[k], net, noise, dt, out[k])
 
 
-def parse_network(where: str, value: Any, feedback: bool) -> Network:
+def parse_network(where: str, value: Any, feedback: bool) -> Neurons:
     """Check a network from a settings table.
 
     Parameters
@@ -154,7 +154,7 @@ def parse_network(where: str, value: Any, feedback: bool) -> Network:
     where : str
         Names the setting in messages.
     value : mapping
-        Keys as the fields of `Network`.
+        Keys as the fields of `Neurons`.
     feedback : bool
         Whether it must have the fed-back input.
 
@@ -163,14 +163,14 @@ def parse_network(where: str, value: Any, feedback: bool) -> Network:
     UsageError
         A key is missing or unknown, a value is no finite number, or the sizes do not match.
     """
-    if not isinstance(value, Mapping) or set(value) != set(Network._fields):
-        raise UsageError(f"{where}: must be a table of {', '.join(Network._fields)}")
+    if not isinstance(value, Mapping) or set(value) != set(Neurons._fields):
+        raise UsageError(f"{where}: must be a table of {', '.join(Neurons._fields)}")
     try:
         arrays = {key: np.array(part, dtype=np.float64) for key, part in value.items()}
     except (TypeError, ValueError):
         raise UsageError(f"{where}: holds something that is no number: train it anew") from None
     inputs, neurons = 5 if feedback else 4, arrays["output"].size
-    shapes = dict.fromkeys(Network._fields, ()) | {
+    shapes = dict.fromkeys(Neurons._fields, ()) | {
         "mean": (inputs,), "scale": (inputs,), "hidden": (neurons, inputs),
         "hidden_bias": (neurons,), "output": (neurons,),
     }  # fmt: skip
@@ -185,21 +185,21 @@ def parse_network(where: str, value: Any, feedback: bool) -> Network:
         )
     plain: dict[str, Any] = {key: tuple(a.tolist()) if a.ndim else float(a) for key, a in arrays.items()}
     plain["hidden"] = tuple(tuple(row) for row in arrays["hidden"].tolist())
-    return Network(**plain)
+    return Neurons(**plain)
 
 
-def parse_plain_network(where: str, value: Any) -> Network:
+def parse_plain_network(where: str, value: Any) -> Neurons:
     """Check a network without feedback from a settings table; see `parse_network`."""
     return parse_network(where, value, feedback=False)
 
 
-def parse_feedback_network(where: str, value: Any) -> Network:
+def parse_feedback_network(where: str, value: Any) -> Neurons:
     """Check a network with feedback from a settings table; see `parse_network`."""
     return parse_network(where, value, feedback=True)
 
 
 @cache
-def shipped_network(name: str) -> Network:
+def shipped_network(name: str) -> Neurons:
     """Network that comes with the package: ``network`` or ``network_feedback``."""
     text = (resources.files("crosscomb") / "data" / "network.json").read_text(encoding="utf-8")
     return parse_network(f"network.json: {name}", json.loads(text)[name], name == "network_feedback")
@@ -210,7 +210,7 @@ class NeuralNetwork(KernelFilter):
     """Three-layer network; `tyre` is not used."""
 
     noise: NetworkNoise = NetworkNoise()
-    network: Network = field(default_factory=partial(shipped_network, "network"))
+    network: Neurons = field(default_factory=partial(shipped_network, "network"))
 
     step_kernel = staticmethod(network_step)
     run_kernel = staticmethod(network_run)
@@ -236,6 +236,6 @@ class NeuralNetwork(KernelFilter):
 class FeedbackNetwork(NeuralNetwork):
     """Three-layer network with its own delayed answer as an input."""
 
-    network: Network = field(default_factory=partial(shipped_network, "network_feedback"))
+    network: Neurons = field(default_factory=partial(shipped_network, "network_feedback"))
 
     tables: ClassVar = {"network": parse_feedback_network}

@@ -15,9 +15,9 @@ from crosscomb.filters.learned import (
     COLUMNS,
     FEEDBACK_DELAY,
     FeedbackNetwork,
-    Network,
     NetworkNoise,
     NeuralNetwork,
+    Neurons,
     shipped_network,
 )
 from crosscomb.models.vehicle import load_vehicle
@@ -144,7 +144,7 @@ def test_settings_survive_a_json_file(name: str) -> None:
     settings = json.loads(json.dumps(settings_of(estimator)))
     again = make_filter(name, GOLF, settings)
     assert again == estimator
-    assert set(settings["network"]) == set(Network._fields)
+    assert set(settings["network"]) == set(Neurons._fields)
 
 
 def broken(**change: object) -> dict[str, object]:

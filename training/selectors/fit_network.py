@@ -18,7 +18,7 @@ from sklearn.neural_network import MLPRegressor
 
 from crosscomb.errors import UsageError
 from crosscomb.filters.base import MAX_BETA, Inputs, make_inputs
-from crosscomb.filters.learned import COLUMNS, FEEDBACK_DELAY, FeedbackNetwork, Network, NeuralNetwork
+from crosscomb.filters.learned import COLUMNS, FEEDBACK_DELAY, FeedbackNetwork, NeuralNetwork, Neurons
 from crosscomb.logs.grid import to_grid
 from crosscomb.logs.prepare import complete
 from crosscomb.models.vehicle import load_vehicle
@@ -111,7 +111,7 @@ def fit_network(
     hidden: int = HIDDEN,
     seed: int = 0,
     rate: float = 100.0,
-) -> Network:
+) -> Neurons:
     """Train a network on recordings.
 
     Parameters
@@ -140,7 +140,7 @@ def fit_network(
     mean, scale = inputs.mean(axis=0), np.maximum(inputs.std(axis=0), 1e-3)
     beta_scale = max(float(beta.std()), 1e-3)
     regressor = fit_regressor((inputs - mean) / scale, beta / beta_scale, hidden, seed)
-    network = Network(
+    network = Neurons(
         mean=tuple(mean.tolist()),
         scale=tuple(scale.tolist()),
         hidden=tuple(tuple(row) for row in regressor.coefs_[0].T.tolist()),
@@ -155,7 +155,7 @@ def fit_network(
     return network._replace(error=max(rms_error(network, recordings, rate), math.radians(0.1)))
 
 
-def rms_error(network: Network, recordings: Sequence[Recording], rate: float = 100.0) -> float:
+def rms_error(network: Neurons, recordings: Sequence[Recording], rate: float = 100.0) -> float:
     """RMS error [rad] over recordings of the network on its own, fed with its own answers."""
     squares: list[np.ndarray] = []
     kind = FeedbackNetwork if network.delay > 0.0 else NeuralNetwork
