@@ -26,7 +26,7 @@ class Finding:
     message: str
 
 
-def check_coverage(signals: Signals) -> list[Finding]:
+def check_gaps(signals: Signals) -> list[Finding]:
     """Warn of what weakens an estimate without being wrong.
 
     Parameters

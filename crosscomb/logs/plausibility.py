@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from crosscomb.logs.gaps import Finding, check_coverage
+from crosscomb.logs.gaps import Finding, check_gaps
 from crosscomb.logs.grid import to_grid
 from crosscomb.logs.unit_faults import Fault, Tie, explain, findings_of, sign_fault, unit_fault
 from crosscomb.models.vehicle import Vehicle
@@ -32,7 +32,7 @@ _WIDE = (0.15, 6.0)  # for ties that are too loose to judge more than degrees an
 
 
 def check_units(signals: Signals, vehicle: Vehicle) -> list[Finding]:
-    """Check units, signs and coverage of a log against physics and its own channels.
+    """Check units, signs and gaps of a log against physics and its own channels.
 
     Parameters
     ----------
@@ -62,7 +62,7 @@ def check_units(signals: Signals, vehicle: Vehicle) -> list[Finding]:
     findings = [*findings_of(sets, ties), *findings_of(reference_sets, reference_ties)]
     if table and not findings:
         findings = _friction_bound(table, vehicle)
-    return sorted([*findings, *check_coverage(signals)], key=lambda finding: finding.severity)
+    return sorted([*findings, *check_gaps(signals)], key=lambda finding: finding.severity)
 
 
 def _check_time_unit(signals: Signals) -> list[Finding]:

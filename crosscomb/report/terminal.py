@@ -130,7 +130,7 @@ def shares_text(shares: dict[str, float]) -> str:
 
 
 def show_signals(signals: Signals) -> None:
-    """Print what is in a log: each channel's unit, coverage and range."""
+    """Print what is in a log: each channel's unit, measured share and range."""
     t = signals.t
     say(
         f"{signals.source}: {len(signals)} rows, {t[-1] - t[0]:.1f} s, median step {np.median(np.diff(t)):.4g} s"
