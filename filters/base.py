@@ -190,6 +190,38 @@ def low_speed_answer(sample, car, out):
 
 
 @inlined
+def starting(running, sample, car, out):
+    """Gate and start: answer where the car is slow and on the first sample above the gate; True where it did.
+
+    There the caller sets its state to that answer, so that it starts from the newest one.
+    """
+    slow = below_gate(sample)
+    if not slow and running[0] == 1:
+        return False
+    low_speed_answer(sample, car, out)
+    running[0] = 0 if slow else 1
+    return True
+
+
+@inlined
+def or_zero(value):
+    """A measurement, 0 where it is missing."""
+    return value if math.isfinite(value) else 0.0
+
+
+@inlined
+def bounded_slip(beta):
+    """Hold beta inside `MAX_BETA`."""
+    return min(max(beta, -MAX_BETA), MAX_BETA)
+
+
+@inlined
+def joined_nis(nis, part):
+    """NIS of one more measurement added; NaN while there is none."""
+    return part if math.isnan(nis) else nis + part
+
+
+@inlined
 def normal_log_density(nis, variance):
     """Log density of an innovation with its NIS and variance."""
     return -0.5 * (nis + math.log(variance) + LOG_2_PI)

@@ -25,7 +25,7 @@ import numpy as np
 
 from crosscomb.errors import UsageError
 from crosscomb.filters import columns as at
-from crosscomb.filters.base import MAX_BETA, KernelFilter, below_gate, low_speed_answer
+from crosscomb.filters.base import MAX_BETA, KernelFilter, starting
 from crosscomb.models.compiled import kernel
 
 COLUMNS = (at.AY, at.YAW_RATE, at.STEER, at.VX)
@@ -127,11 +127,7 @@ def take_inputs(state, sample, net, dt):
 def network_step(state, sample, net, noise, dt, out):
     """One sample of the network; `out` ``(3,)`` gets beta, its stated error and NaN."""
     take_inputs(state, sample, net, dt)
-    slow = below_gate(sample)
-    if slow or state.running[0] == 0:
-        low_speed_answer(sample, net, out)
-        state.running[0] = 0 if slow else 1
-    else:
+    if not starting(state.running, sample, net, out):
         beta, outside = evaluate(state.inputs, net)
         out[at.BETA] = min(max(beta, -net.largest), net.largest)
         out[at.BETA_STD] = math.hypot(net.error, noise.outside * outside + noise.missing * state.missing[0])

@@ -38,10 +38,10 @@ FRICTION = 2
 LAWS = {"linear": STIFFNESS, "rational": RATIONAL, "dugoff": FRICTION}
 """Name of a tyre law to the number of the law with parameters."""
 
-BETA_RATE, YAW_ACCELERATION, LATERAL = range(3)
+YAW_ACCELERATION, BETA_RATE, LATERAL = range(3)
 """Rows of the slopes."""
 
-BY_BETA, BY_YAW_RATE, BY_STEER, BY_PARAMETER = range(4)
+BY_YAW_RATE, BY_BETA, BY_STEER, BY_PARAMETER = range(4)
 """Columns of the slopes; the parameters follow from the last one on."""
 
 SLOPES_SHAPE = (3, 7)
@@ -190,12 +190,12 @@ def parameter_track_rates(
     law, parameters, car, by
         As in `tyre_forces`.
     slopes : (3, 7)
-        Filled: rows beta_rate, yaw_acceleration, ay; columns beta, yaw_rate, the steering angle (through the
+        Filled: rows yaw_acceleration, beta_rate, ay; columns yaw_rate, beta, the steering angle (through the
         slip angle of the front tyres alone), and the parameters.
 
     Returns
     -------
-    beta_rate, yaw_acceleration, ay : float [rad/s], [rad/s^2], [m/s^2]
+    yaw_acceleration, beta_rate, ay : float [rad/s^2], [rad/s], [m/s^2]
     """
     sin_b, cos_b, tangent = sin_cos_tan(beta)
     alpha_f, alpha_r, af_r, af_b, ar_r, ar_b = slip_angles(
@@ -219,7 +219,7 @@ def parameter_track_rates(
         set_slopes(slopes, BY_PARAMETER + i, of_f, of_r, by[i, 0], by[i, 1])
     slopes[BETA_RATE, BY_YAW_RATE] -= 1.0
     slopes[BETA_RATE, BY_BETA] += slip_rate_slope(body_ax, body_ay, cos_b, sin_b, vx)
-    return beta_rate, yaw_acceleration, body_ay
+    return yaw_acceleration, beta_rate, body_ay
 
 
 @inlined

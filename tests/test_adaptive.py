@@ -45,7 +45,7 @@ def drive(
     for k, angle in enumerate(steer):
         given = (vx, angle, 0.0, 0.0, 0.0, 0.0, 0.0, law, parameters, car, by, slopes)
         for _ in range(10):
-            beta_rate, yaw_acceleration, ay = track_model.parameter_track_rates(yaw_rate, beta, *given)
+            yaw_acceleration, beta_rate, ay = track_model.parameter_track_rates(yaw_rate, beta, *given)
             beta += 0.1 * DT * beta_rate
             yaw_rate += 0.1 * DT * yaw_acceleration
         truth[k] = beta
@@ -199,7 +199,7 @@ def own_model(
         # The model takes the friction in use from ay; small here, so that it is the file's.
         beta, yaw_rate = (state[0], state[1]) if rates_as_states else (state[1], state[0])
         given = (vx, steer[k], 0.0, 0.0, 0.0, 0.0, 0.0, car.law, parameters, car.track, by, slopes)
-        beta_rate, yaw_acceleration, _ = track_model.parameter_track_rates(yaw_rate, beta, *given)
+        yaw_acceleration, beta_rate, _ = track_model.parameter_track_rates(yaw_rate, beta, *given)
         if rates_as_states:
             state = np.array([beta + DT * state[2], yaw_rate + DT * state[3], beta_rate, yaw_acceleration])
             state[[3, 2]] += shocks[k]

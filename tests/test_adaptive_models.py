@@ -91,16 +91,16 @@ def test_slopes_by_state_and_parameters_are_derivatives(law: int) -> None:
     rng = np.random.default_rng(3)
     for _ in range(200):
         point = np.concatenate(
-            [rng.uniform([-0.4, -1.0], [0.4, 1.0]), first * rng.uniform(0.6, 1.6, len(first))]
+            [rng.uniform([-0.4, -1.0], [0.4, 1.0])[::-1], first * rng.uniform(0.6, 1.6, len(first))]
         )
         vx, steer, steer_rear = rng.uniform([4.0, -0.3, -0.1], [45.0, 0.3, 0.1])
         fxf, fxr, ax, ay = rng.uniform(-1.0, 1.0, 4) * [4e3, 4e3, 5.0, 5.0]
         rest = (vx, steer, steer_rear, fxf, fxr, ax, ay, law)
 
         def rates(x: np.ndarray, rest=rest) -> np.ndarray:
-            return np.array(track_model.parameter_track_rates(x[1], x[0], *rest, x[2:], car, by, unused))
+            return np.array(track_model.parameter_track_rates(x[0], x[1], *rest, x[2:], car, by, unused))
 
-        track_model.parameter_track_rates(point[1], point[0], *rest, point[2:], car, by, slopes)
+        track_model.parameter_track_rates(point[0], point[1], *rest, point[2:], car, by, slopes)
         steps = np.concatenate([[1e-6, 1e-6], 1e-6 * first])
         expected = np.stack(
             [(rates(point + s) - rates(point - s)) / (2.0 * s.max()) for s in np.diag(steps)], axis=1
@@ -120,9 +120,9 @@ def test_parameters_of_the_file_give_the_single_track(law: str) -> None:
         *given, number, track_model.first_parameters(number, car), car, by, slopes
     )
     (yaw_acceleration, beta_rate), (_, ay), jacobian = single_track_rates(*given, car)
-    assert found == pytest.approx((beta_rate, yaw_acceleration, ay))
-    assert slopes[:, 1] == pytest.approx(np.array(jacobian)[[1, 0, 3]])
-    assert slopes[:, 0] == pytest.approx(np.array(jacobian)[[5, 4, 7]])
+    assert found == pytest.approx((yaw_acceleration, beta_rate, ay))
+    assert slopes[:, 0] == pytest.approx(np.array(jacobian)[[0, 1, 3]])
+    assert slopes[:, 1] == pytest.approx(np.array(jacobian)[[4, 5, 7]])
 
 
 def test_lateral_acceleration_from_motion_is_that_of_the_forces() -> None:

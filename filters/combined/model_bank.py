@@ -23,15 +23,15 @@ from crosscomb.filters import columns as at
 from crosscomb.filters.algebra.dense import copy_into
 from crosscomb.filters.base import (
     LOG_2_PI,
-    MAX_BETA,
     Gaussian,
-    below_gate,
-    low_speed_answer,
+    bounded_slip,
     normal_log_density,
     propagate,
     scalar_update,
+    starting,
 )
 from crosscomb.filters.single_track.ekf import DynamicNoise, dynamic_predict, dynamic_update
+from crosscomb.filters.single_track.shared import ay_variance, start_doubt, start_motion
 from crosscomb.models.compiled import inlined
 from crosscomb.models.single_track import SingleTrack, body_rates, slip_rate_slope
 
@@ -92,7 +92,7 @@ def slip_predict(state, sample, noise, dt):
         )  # fmt: skip
         slope, by_yaw = slip_rate_slope(sample[at.AX], sample[at.AY], cosine, sine, vx), -1.0
     beta = mean[1] + dt * (rate - noise.relaxation * mean[1])
-    mean[1] = min(max(beta, -MAX_BETA), MAX_BETA)
+    mean[1] = bounded_slip(beta)
     density = (noise.accel if known else noise.missing_accel) / vx
     propagate(
         state.cov, 1.0, 0.0, dt * by_yaw, 1.0 + dt * (slope - noise.relaxation),
@@ -107,7 +107,7 @@ def slip_update(state, sample, noise):
     if math.isfinite(sample[at.YAW_RATE]):
         variance = state.cov[0, 0] + noise.dynamic.yaw_rate**2
         nis = scalar_update(state, 1.0, 0.0, sample[at.YAW_RATE] - state.mean[0], noise.dynamic.yaw_rate**2)
-        state.mean[1] = min(max(state.mean[1], -MAX_BETA), MAX_BETA)
+        state.mean[1] = bounded_slip(state.mean[1])
         log_likelihood += normal_log_density(nis, variance)
     if math.isfinite(sample[at.AY]):
         log_likelihood += normal_log_density(1.0, noise.surprise**2)
@@ -126,8 +126,7 @@ def tyre_update(state, sample, car, noise):
         noises += 2.0 * math.log(noise.yaw_rate)
     if math.isfinite(sample[at.AY]):
         n += 1
-        wrong_ay = noise.missing_steer * sample[at.STEER_HELD] * car.stiffness_front / car.mass
-        noises += math.log(noise.ay**2 + wrong_ay**2)
+        noises += math.log(ay_variance(sample, car, noise))
     if n == 0:
         return math.nan, 0.0
     prior = cov[0, 0] * cov[1, 1] - cov[0, 1] * cov[0, 1]
@@ -174,16 +173,11 @@ def model_shares(noise):
 @inlined
 def bank_start(bank, sample, cars, noise, out):
     """Answer where the car is slow and start on the first sample above the gate; True where it did either."""
-    slow = below_gate(sample)
-    if not slow and bank.running[0] == 1:
+    if not starting(bank.running, sample, cars.high, out):
         return False
-    low_speed_answer(sample, cars.high, out)
-    bank.running[0] = 0 if slow else 1
-    yaw_rate = sample[at.YAW_RATE] if math.isfinite(sample[at.YAW_RATE]) else 0.0
     for member in (bank.high, bank.low, bank.kinematic):
-        member.mean[0], member.mean[1] = yaw_rate, out[at.BETA]
-        member.cov[0, 0], member.cov[0, 1], member.cov[1, 0] = noise.dynamic.yaw_rate**2, 0.0, 0.0
-        member.cov[1, 1] = out[at.BETA_STD] ** 2
+        start_motion(member.mean, sample, out)
+        start_doubt(member.cov, noise.dynamic, out)
     bank.probability[0], bank.probability[1], bank.probability[2] = model_shares(noise)
     copy_into(out[3:], bank.probability)
     return True

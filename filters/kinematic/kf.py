@@ -27,9 +27,8 @@ from crosscomb.filters.base import (
     MAX_BETA,
     Gaussian,
     KernelFilter,
-    below_gate,
-    low_speed_answer,
     normal_log_density,
+    starting,
 )
 from crosscomb.models.compiled import inlined, kernel
 from crosscomb.models.kinematic import input_gain, rolling_curvature, rolling_rear, rotation
@@ -154,13 +153,10 @@ def kinematic_start(state, sample, car, noise, dt, out):
     A stop makes the filter forget its motion, not what it knows of its sensors.
     """
     mean, cov = state.mean, state.cov
-    slow = below_gate(sample)
-    if not slow and state.running[0] == 1:
+    if not starting(state.running, sample, car, out):
         return False
-    low_speed_answer(sample, car, out)
     drift_biases(state, noise, dt)
-    state.running[0] = 0
-    if slow:
+    if state.running[0] == 0:
         return True
     vx = sample[at.VX]
     mean[0], mean[1] = vx, vx * math.tan(out[at.BETA])
@@ -168,7 +164,6 @@ def kinematic_start(state, sample, car, noise, dt, out):
         for j in range(4):
             cov[i, j] = cov[j, i] = 0.0
     cov[0, 0], cov[1, 1] = noise.speed**2, (vx * out[at.BETA_STD]) ** 2
-    state.running[0] = 1
     return True
 
 

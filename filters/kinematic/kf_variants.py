@@ -21,7 +21,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from crosscomb.filters import columns as at
-from crosscomb.filters.base import MAX_BETA, Gaussian, KernelFilter
+from crosscomb.filters.base import Gaussian, KernelFilter, bounded_slip, joined_nis
 from crosscomb.filters.kinematic.kf import (
     blind_update,
     inertial_known,
@@ -100,9 +100,9 @@ def zero_yaw_step(state, sample, car, noise, dt, out):
     if share > 0.0 and math.isfinite(sample[at.AY]):
         # Its error lasts, so it counts as one measurement per second, spread over the samples.
         variance = (noise.pseudo * sample[at.VX]) ** 2 / (dt * share)
-        pseudo = sample[at.VX] * math.tan(min(max(steady_slip(sample, car), -MAX_BETA), MAX_BETA))
+        pseudo = sample[at.VX] * math.tan(bounded_slip(steady_slip(sample, car)))
         part, _ = velocity_update(state, 0.0, 1.0, pseudo - state.mean[1], variance)
-        nis = part if math.isnan(nis) else nis + part
+        nis = joined_nis(nis, part)
     blind_update(state, sample[at.YAW_RATE], dt)
     limit_slip(state.mean)
     limit_biases(state.mean, noise)

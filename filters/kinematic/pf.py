@@ -18,7 +18,7 @@ from numba import njit
 from crosscomb.filters import columns as at
 from crosscomb.filters.algebra.particles import LEAST_STD, RESAMPLE_BELOW, cloud, draw_uniform, normalise
 from crosscomb.filters.algebra.resampling import RESAMPLING, resample
-from crosscomb.filters.base import KernelFilter, below_gate, low_speed_answer
+from crosscomb.filters.base import KernelFilter, starting
 from crosscomb.filters.kinematic.kf import (
     BIAS_AX,
     BIAS_AY,
@@ -120,10 +120,8 @@ def weighted_slip(state):
 def kinematic_particle_step(state, sample, car, noise, dt, out):
     """One sample of the filter; `out` ``(3,)`` gets beta, its standard deviation and NaN."""
     draw_uniform(state.rng, state.scratch)
-    if below_gate(sample) or state.running[0] == 0:
-        low_speed_answer(sample, car, out)
+    if starting(state.running, sample, car, out):
         drift_particles(state, noise, dt)
-        state.running[0] = 0 if below_gate(sample) else 1
         if state.running[0] == 1:
             first_velocities(state, sample[at.VX], out[at.BETA], out[at.BETA_STD], noise)
         return

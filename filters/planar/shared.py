@@ -17,7 +17,8 @@ from functools import cached_property
 from typing import ClassVar, NamedTuple
 
 from crosscomb.filters import columns as at
-from crosscomb.filters.base import MAX_BETA, KernelFilter, below_gate, low_speed_answer
+from crosscomb.filters.base import MAX_BETA, KernelFilter, or_zero, starting
+from crosscomb.filters.single_track.shared import ay_variance, wrong_front_force
 from crosscomb.models.compiled import inlined
 from crosscomb.models.planar import TRACKS, PlanarCar, planar_car, planar_rates, set_contacts
 from crosscomb.models.single_track import stable_substeps
@@ -67,8 +68,8 @@ class PlanarFilter(KernelFilter):
 @inlined
 def known_accelerations(sample):
     """Measured ax and ay [m/s^2], 0 where missing."""
-    ax = sample[at.AX] if math.isfinite(sample[at.AX]) else 0.0
-    ay = sample[at.AY] if math.isfinite(sample[at.AY]) else 0.0
+    ax = or_zero(sample[at.AX])
+    ay = or_zero(sample[at.AY])
     return ax, ay
 
 
@@ -124,22 +125,17 @@ def read_measurements(sample, car, noise, z, variance):
     z[Z_YAW_RATE], z[Z_AX], z[Z_AY], z[Z_U] = sample[at.YAW_RATE], sample[at.AX], sample[at.AY], math.nan
     if sample[at.VX_HELD] == 0.0 and not (math.isfinite(z[Z_LEFT]) or math.isfinite(z[Z_RIGHT])):
         z[Z_U] = sample[at.VX]
-    wrong_ay = noise.missing_steer * sample[at.STEER_HELD] * car.stiffness_front / car.mass
     variance[Z_LEFT] = variance[Z_RIGHT] = noise.wheel_speed**2
     variance[Z_YAW_RATE] = noise.yaw_rate**2
     variance[Z_AX] = noise.ax**2
-    variance[Z_AY] = noise.ay**2 + wrong_ay**2
+    variance[Z_AY] = ay_variance(sample, car, noise)
     variance[Z_U] = noise.speed**2
 
 
 @inlined
 def set_process_noise(q, sample, car, noise, dt):
-    """Write the process noise of dt into q ``(3, 3)``.
-
-    The error of a held steering angle acts through the front tyres. It lasts about a second, so as white
-    noise its density is its size.
-    """
-    wrong_force = noise.missing_steer * sample[at.STEER_HELD] * car.stiffness_front
+    """Write the process noise of dt into q ``(3, 3)``, with the error of a held steering angle."""
+    wrong_force = wrong_front_force(sample, car, noise)
     wrong_v, wrong_r = wrong_force / car.mass, wrong_force * car.a / car.yaw_inertia
     q[:] = 0.0
     q[0, 0] = noise.u_rate**2 * dt
@@ -151,23 +147,17 @@ def set_process_noise(q, sample, car, noise, dt):
 @inlined
 def begin(mean, cov, running, sample, car, noise, out):
     """Answer below the gate, and start the filter at the first sample above it; tell whether that was all."""
-    if below_gate(sample):
-        low_speed_answer(sample, car, out)
-        running[0] = 0
-        return True
-    if running[0] == 0:
-        low_speed_answer(sample, car, out)
-        start(mean, cov, sample, out[at.BETA], out[at.BETA_STD], noise)
-        running[0] = 1
-        return True
-    return False
+    if not starting(running, sample, car, out):
+        return False
+    start(mean, cov, sample, out[at.BETA], out[at.BETA_STD], noise)
+    return True
 
 
 @inlined
 def start(mean, cov, sample, beta, beta_std, noise):
     """Set mean and covariance from one sample and a sideslip angle [rad] with its standard deviation."""
     mean[0], mean[1] = sample[at.VX], sample[at.VX] * math.tan(beta)
-    mean[2] = sample[at.YAW_RATE] if math.isfinite(sample[at.YAW_RATE]) else 0.0
+    mean[2] = or_zero(sample[at.YAW_RATE])
     cov[:] = 0.0
     cov[0, 0], cov[1, 1], cov[2, 2] = noise.speed**2, (sample[at.VX] * beta_std) ** 2, noise.yaw_rate**2
 

@@ -22,7 +22,13 @@ import numpy as np
 
 from crosscomb.filters import columns as at
 from crosscomb.filters.algebra.leading import consider_update, propagate_leading
-from crosscomb.filters.base import MAX_BETA, KernelFilter, below_gate, low_speed_answer
+from crosscomb.filters.base import (
+    MAX_BETA,
+    KernelFilter,
+    joined_nis,
+    or_zero,
+    starting,
+)
 from crosscomb.filters.random_walk.ekf import (
     FORCE_EXTRAS,
     FREE,
@@ -113,7 +119,7 @@ def double_walk_start(state, sample, beta, beta_std, car, noise):
     mean[:] = 0.0
     mean[0] = max(sample[at.VX], MIN_SPEED)
     mean[1] = mean[0] * math.tan(beta)
-    mean[2] = sample[at.YAW_RATE] if math.isfinite(sample[at.YAW_RATE]) else 0.0
+    mean[2] = or_zero(sample[at.YAW_RATE])
     cov[:] = 0.0
     cov[0, 0], cov[1, 1], cov[2, 2] = noise.speed**2, (mean[0] * beta_std) ** 2, noise.yaw_rate**2
     share_axle_noise(cov, state.contact.wheels, car.planar.mass**2)
@@ -187,14 +193,14 @@ def double_walk_update(state, sample, car, noise, dt):
         row[:] = 0.0
         row[2] = 1.0
         part = double_walk_measure(state, sample[at.YAW_RATE] - mean[2], noise.yaw_rate**2)
-        nis = part if math.isnan(nis) else nis + part
+        nis = joined_nis(nis, part)
     if car.measured == U_R_AY and math.isfinite(sample[at.AY]):
         row[:] = 0.0
         for i in range(4):
             row[3 + i] = wheels[i, COS] / car.planar.mass
         _, y, _ = double_walk_forces(mean, state.contact)
         part = double_walk_measure(state, sample[at.AY] - y / car.planar.mass, noise.ay**2)
-        nis = part if math.isnan(nis) else nis + part
+        nis = joined_nis(nis, part)
     if car.yaw_moment == ZERO:
         row[:] = 0.0
         for i in range(4):
@@ -231,8 +237,8 @@ def tie_velocity(state, sample, car, noise, dt):
 def double_walk_step(state, sample, car, noise, dt, out):
     """One sample; `out` ``(6,)`` gets beta, its standard deviation, the NIS and the further outputs."""
     mean, cov = state.mean, state.cov
-    ax = sample[at.AX] if math.isfinite(sample[at.AX]) else 0.0
-    ay = sample[at.AY] if math.isfinite(sample[at.AY]) else 0.0
+    ax = or_zero(sample[at.AX])
+    ay = or_zero(sample[at.AY])
     set_contacts(
         state.contact,
         sample[at.STEER],
@@ -243,10 +249,8 @@ def double_walk_step(state, sample, car, noise, dt, out):
         ay,
         car.planar,
     )
-    if below_gate(sample) or state.running[0] == 0:
-        low_speed_answer(sample, car.track, out)
+    if starting(state.running, sample, car.track, out):
         double_walk_start(state, sample, out[at.BETA], out[at.BETA_STD], car, noise)
-        state.running[0] = 0 if below_gate(sample) else 1
     else:
         double_walk_predict(state, car, noise, dt)
         out[at.NIS] = double_walk_update(state, sample, car, noise, dt)

@@ -22,7 +22,13 @@ import numpy as np
 from crosscomb.filters import columns as at
 from crosscomb.filters.algebra.dense import copy_into
 from crosscomb.filters.algebra.leading import consider_update, propagate_leading
-from crosscomb.filters.base import MAX_BETA, KernelFilter, below_gate, low_speed_answer
+from crosscomb.filters.base import (
+    KernelFilter,
+    bounded_slip,
+    joined_nis,
+    or_zero,
+    starting,
+)
 from crosscomb.models.compiled import inlined, kernel
 from crosscomb.models.kinematic import slip_of_rolling_rear
 from crosscomb.models.random_walk import random_walk_jacobian
@@ -80,8 +86,8 @@ class WalkState(NamedTuple):
 def walk_start(state, sample, beta, beta_std, car, noise):
     """Start from the rolling answer, with the forces that the accelerations ask for."""
     mean, cov, track = state.mean, state.cov, car.track
-    ay = sample[at.AY] if math.isfinite(sample[at.AY]) else 0.0
-    mean[0] = sample[at.YAW_RATE] if math.isfinite(sample[at.YAW_RATE]) else 0.0
+    ay = or_zero(sample[at.AY])
+    mean[0] = or_zero(sample[at.YAW_RATE])
     mean[1] = beta
     mean[2], mean[3] = sample[at.FXF], sample[at.FXR]
     share = track.b / (track.a + track.b)
@@ -119,7 +125,7 @@ def walk_bounds(mean, car):
     """Hold the states in what a car can do."""
     most = MAX_FORCE * car.track.mass * GRAVITY
     mean[0] = min(max(mean[0], -10.0), 10.0)
-    mean[1] = min(max(mean[1], -MAX_BETA), MAX_BETA)
+    mean[1] = bounded_slip(mean[1])
     for i in range(2, 6):
         mean[i] = min(max(mean[i], -most), most)
 
@@ -148,7 +154,7 @@ def walk_update(state, sample, car, noise, dt):
         if math.isfinite(measured):
             copy_into(row, jacobian[i])
             part = walk_measure(state, measured, noise.accel**2)
-            nis = part if math.isnan(nis) else nis + part
+            nis = joined_nis(nis, part)
     row[:] = 0.0
     row[2], row[3] = 1.0, -1.0
     walk_measure(state, sample[at.FXF] - sample[at.FXR], (noise.split * mass) ** 2)
@@ -184,10 +190,8 @@ def friction_use(yaw_rate, vx, track):
 def walk_step(state, sample, car, noise, dt, out):
     """One sample; `out` ``(6,)`` gets beta, its standard deviation, the NIS and the further outputs."""
     mean, cov, track = state.mean, state.cov, car.track
-    if below_gate(sample) or state.running[0] == 0:
-        low_speed_answer(sample, track, out)
+    if starting(state.running, sample, track, out):
         walk_start(state, sample, out[at.BETA], out[at.BETA_STD], car, noise)
-        state.running[0] = 0 if below_gate(sample) else 1
     else:
         walk_predict(state, sample, car, noise, dt)
         out[at.NIS] = walk_update(state, sample, car, noise, dt)

@@ -27,12 +27,12 @@ from crosscomb.filters.algebra.particles import (
 from crosscomb.filters.algebra.resampling import RESAMPLING, resample
 from crosscomb.filters.base import (
     LOG_2_PI,
-    MAX_BETA,
     Gaussian,
     KernelFilter,
-    below_gate,
+    bounded_slip,
     gaussian,
-    low_speed_answer,
+    or_zero,
+    starting,
 )
 from crosscomb.filters.single_track.ekf import DynamicNoise, dynamic_step
 from crosscomb.models.compiled import kernel
@@ -93,8 +93,8 @@ def sin_cos(angle):
 @kernel
 def first_guess(sample, beta, car):
     """State that beta and a sample's yaw rate, ay and longitudinal forces suggest."""
-    yaw_rate = sample[at.YAW_RATE] if math.isfinite(sample[at.YAW_RATE]) else 0.0
-    side = car.mass * sample[at.AY] if math.isfinite(sample[at.AY]) else 0.0
+    yaw_rate = or_zero(sample[at.YAW_RATE])
+    side = car.mass * or_zero(sample[at.AY])
     front = car.b / (car.a + car.b)
     return yaw_rate, beta, sample[at.FXF], sample[at.FXR], front * side, (1.0 - front) * side
 
@@ -148,7 +148,7 @@ def move_and_weigh(particles, sample, beta_ekf, std_ekf, car, noise, dt):
             cos_b, sin_b, car.mass, car.yaw_inertia, car.a, car.b,
         )  # fmt: skip
         yaw_rate = x[0, i] + dt * yaw_acceleration + yaw * draws[0, i]
-        beta = min(max(x[1, i] + dt * beta_rate + slip * draws[1, i], -MAX_BETA), MAX_BETA)
+        beta = bounded_slip(x[1, i] + dt * beta_rate + slip * draws[1, i])
         x[0, i], x[1, i], x[2, i], x[3, i], x[4, i], x[5, i] = yaw_rate, beta, fxf, fxr, fyf, fyr
         log_weights[i] -= (
             min(p_yaw * (z_yaw - yaw_rate) ** 2, FAR_OFF)
@@ -175,14 +175,9 @@ def particle_answer(particles, sample, car, noise, dt, out):
     """One sample of the particle filter without resampling; give the effective sample size, inf at low speed."""
     dynamic_step(particles.ekf, sample, car, noise.ekf, dt, particles.ekf_out)
     beta_ekf, std_ekf = particles.ekf_out[at.BETA], particles.ekf_out[at.BETA_STD]
-    if below_gate(sample):
-        low_speed_answer(sample, car, out)
-        particles.running[0] = 0
-        return math.inf
-    if particles.running[0] == 0:
-        first_particles(particles, sample, beta_ekf, car)
-        low_speed_answer(sample, car, out)
-        particles.running[0] = 1
+    if starting(particles.running, sample, car, out):
+        if particles.running[0] == 1:
+            first_particles(particles, sample, beta_ekf, car)
         return math.inf
     if particles.evidence.size > 0:
         particles.evidence[0] -= log_sum(particles.log_weights)

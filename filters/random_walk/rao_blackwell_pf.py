@@ -29,7 +29,13 @@ from crosscomb.filters import columns as at
 from crosscomb.filters.algebra.dense import joseph_update
 from crosscomb.filters.algebra.particles import RESAMPLE_BELOW, cloud, normalise, weighted_beta
 from crosscomb.filters.algebra.resampling import RESAMPLING, resample
-from crosscomb.filters.base import MAX_BETA, Gaussian, KernelFilter, below_gate, gaussian, low_speed_answer
+from crosscomb.filters.base import (
+    Gaussian,
+    KernelFilter,
+    bounded_slip,
+    gaussian,
+    starting,
+)
 from crosscomb.filters.random_walk.pf import FIRST_SPREAD, ParticleNoise, first_guess, sin_cos, slip_precision
 from crosscomb.filters.single_track.ekf import dynamic_step
 from crosscomb.models.compiled import kernel
@@ -199,7 +205,7 @@ def draw_and_weigh(state, sample, beta_ekf, std_ekf, car, noise, dt):
             fxf, fxr, fyf, fyr, vx, x[0, i], cos_f, sin_f, cos_r, sin_r,
             cos_b, sin_b, car.mass, car.yaw_inertia, car.a, car.b,
         )  # fmt: skip
-        beta = min(max(x[1, i] + dt * beta_rate + drawn, -MAX_BETA), MAX_BETA)
+        beta = bounded_slip(x[1, i] + dt * beta_rate + drawn)
         yaw_rate = x[0, i] + dt * yaw_acceleration + gb[0] * drawn
         off_r = z_yaw - yaw_rate
         off_x = z_ax - (ax + ax_by_b * drawn + ax_by_r * off_r)
@@ -233,10 +239,8 @@ def blackwell_step(state, sample, car, noise, dt, out):
     """One sample; `out` ``(5,)`` gets beta, its standard deviation, the NIS and the lateral axle forces."""
     dynamic_step(state.ekf, sample, car, noise.ekf, dt, state.ekf_out)
     beta_ekf, std_ekf = state.ekf_out[at.BETA], state.ekf_out[at.BETA_STD]
-    if below_gate(sample) or state.running[0] == 0:
-        low_speed_answer(sample, car, out)
+    if starting(state.running, sample, car, out):
         out[3] = out[4] = math.nan
-        state.running[0] = 0 if below_gate(sample) else 1
         if state.running[0] == 1:
             blackwell_start(state, sample, beta_ekf, car)
         return

@@ -26,14 +26,21 @@ import numpy as np
 from crosscomb.filters import columns as at
 from crosscomb.filters.algebra.leading import consider_update
 from crosscomb.filters.base import (
-    MAX_BETA,
     KernelFilter,
-    below_gate,
-    low_speed_answer,
+    bounded_slip,
+    joined_nis,
     propagate,
     scalar_update,
+    starting,
 )
 from crosscomb.filters.single_track.adaptation import Limits, TyreCar, excited, growth, parameter_limits
+from crosscomb.filters.single_track.shared import (
+    ay_variance,
+    motion_noise,
+    parameter_rates_at,
+    start_doubt,
+    start_motion,
+)
 from crosscomb.filters.single_track.tyre_ekf import RATTE
 from crosscomb.models.compiled import inlined, kernel
 from crosscomb.models.parameter_track import (
@@ -45,7 +52,6 @@ from crosscomb.models.parameter_track import (
     LAWS,
     SLOPES_SHAPE,
     YAW_ACCELERATION,
-    parameter_track_rates,
 )
 from crosscomb.models.single_track import single_track, stable_substeps
 
@@ -84,37 +90,19 @@ class DualState(NamedTuple):
 
 
 @inlined
-def dual_rates(state, sample, car):
-    """Rates and ay at the estimate; fills `state.slopes`."""
-    ax = sample[at.AX] if math.isfinite(sample[at.AX]) else 0.0
-    ay = sample[at.AY] if math.isfinite(sample[at.AY]) else 0.0
-    return parameter_track_rates(
-        state.mean[0], state.mean[1], sample[at.VX], sample[at.STEER], sample[at.STEER_REAR], sample[at.FXF],
-        sample[at.FXR], ax, ay, car.law, state.tyres, car.track, state.by, state.slopes,
-    )  # fmt: skip
-
-
-@inlined
 def dual_predict(state, sample, car, noise, dt):
     """Predict the motion and its sensitivity over dt by Euler steps."""
     mean, slopes, sensitivity = state.mean, state.slopes, state.sensitivity
-    wrong_force = noise.missing_steer * sample[at.STEER_HELD] * car.track.stiffness_front
-    wrong_yaw = wrong_force * car.track.a / car.track.yaw_inertia
-    wrong_slip = wrong_force / (car.track.mass * sample[at.VX])
+    of_yaw, of_both, of_slip = motion_noise(sample, car.track, noise)
     steps = stable_substeps(sample[at.VX], dt, car.track)
     h = dt / steps
     for _ in range(steps):
-        beta_rate, yaw_acceleration, _ = dual_rates(state, sample, car)
+        yaw_acceleration, beta_rate, _ = parameter_rates_at(mean[0], mean[1], sample, car, state.tyres, state)
         f00, f01 = 1.0 + h * slopes[YAW_ACCELERATION, BY_YAW_RATE], h * slopes[YAW_ACCELERATION, BY_BETA]
         f10, f11 = h * slopes[BETA_RATE, BY_YAW_RATE], 1.0 + h * slopes[BETA_RATE, BY_BETA]
         mean[0] += h * yaw_acceleration
-        mean[1] = min(max(mean[1] + h * beta_rate, -MAX_BETA), MAX_BETA)
-        propagate(
-            state.cov, f00, f01, f10, f11,
-            (noise.yaw_acceleration**2 + wrong_yaw**2) * h,
-            wrong_yaw * wrong_slip * h,
-            (noise.slip_rate**2 + wrong_slip**2) * h,
-        )  # fmt: skip
+        mean[1] = bounded_slip(mean[1] + h * beta_rate)
+        propagate(state.cov, f00, f01, f10, f11, of_yaw * h, of_both * h, of_slip * h)
         for i in range(PARAMETERS):
             yaw, beta = sensitivity[0, i], sensitivity[1, i]
             sensitivity[0, i] = f00 * yaw + f01 * beta + h * slopes[YAW_ACCELERATION, BY_PARAMETER + i]
@@ -166,8 +154,7 @@ def dual_update(state, sample, car, noise, adapting):
     """Update with the yaw rate and ay that are there; give the NIS, NaN without any."""
     mean, slopes, limits = state.mean, state.slopes, state.limits
     yaw_prior, beta_prior = mean[0], mean[1]
-    _, _, expected = dual_rates(state, sample, car)
-    wrong_ay = noise.missing_steer * sample[at.STEER_HELD] * car.track.stiffness_front / car.track.mass
+    _, _, expected = parameter_rates_at(yaw_prior, beta_prior, sample, car, state.tyres, state)
     moved = state.by.reshape(8)  # its slopes are in `slopes` now
     moved[:] = 0.0
     nis = math.nan
@@ -178,13 +165,13 @@ def dual_update(state, sample, car, noise, adapting):
         ay_r, ay_b = slopes[LATERAL, BY_YAW_RATE], slopes[LATERAL, BY_BETA]
         innovation = sample[at.AY] - expected - ay_r * (mean[0] - yaw_prior) - ay_b * (mean[1] - beta_prior)
         part = dual_measure(
-            state, ay_r, ay_b, slopes[LATERAL, BY_PARAMETER:], innovation, noise.ay**2 + wrong_ay**2,
-            moved[:4], adapting,
+            state, ay_r, ay_b, slopes[LATERAL, BY_PARAMETER:], innovation,
+            ay_variance(sample, car.track, noise), moved[:4], adapting,
         )  # fmt: skip
-        nis = part if math.isnan(nis) else nis + part
+        nis = joined_nis(nis, part)
     if math.isnan(nis):
         state.sensitivity[:] = 0.0  # nothing holds it while nothing is measured
-    mean[1] = min(max(mean[1], -MAX_BETA), MAX_BETA)
+    mean[1] = bounded_slip(mean[1])
     for i in range(PARAMETERS):
         state.tyres[i] = min(max(state.tyres[i], limits.least[i]), limits.most[i])
     return nis
@@ -204,13 +191,10 @@ def doubt_of_tyres(by_tyres, tyre_cov):
 def dual_step(state, sample, car, noise, dt, out):
     """One sample; `out` ``(7,)`` gets beta, its standard deviation, the NIS and the four tyre parameters."""
     mean, cov, limits = state.mean, state.cov, state.limits
-    if below_gate(sample) or state.running[0] == 0:
-        low_speed_answer(sample, car.track, out)
-        mean[0] = sample[at.YAW_RATE] if math.isfinite(sample[at.YAW_RATE]) else 0.0
-        mean[1] = out[at.BETA]
-        cov[0, 0], cov[0, 1], cov[1, 0], cov[1, 1] = noise.yaw_rate**2, 0.0, 0.0, out[at.BETA_STD] ** 2
+    if starting(state.running, sample, car.track, out):
+        start_motion(mean, sample, out)
+        start_doubt(cov, noise, out)
         state.sensitivity[:] = 0.0
-        state.running[0] = 0 if below_gate(sample) else 1
     else:
         adapting = excited(sample, noise)
         for i in range(PARAMETERS):

@@ -12,16 +12,16 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from crosscomb.filters import columns as at
-from crosscomb.filters.base import (
-    MAX_BETA,
-    KernelFilter,
-    below_gate,
-    low_speed_answer,
-    propagate,
-    scalar_update,
+from crosscomb.filters.base import KernelFilter, bounded_slip, joined_nis, propagate, scalar_update, starting
+from crosscomb.filters.single_track.shared import (
+    ay_variance,
+    motion_noise,
+    rates_at,
+    start_doubt,
+    start_motion,
 )
 from crosscomb.models.compiled import inlined, kernel
-from crosscomb.models.single_track import single_track_rates, stable_substeps
+from crosscomb.models.single_track import stable_substeps
 
 
 class DynamicNoise(NamedTuple):
@@ -38,36 +38,16 @@ class DynamicNoise(NamedTuple):
 def dynamic_predict(state, sample, car, noise, dt):
     """Predict [yaw_rate, beta] over dt by Euler steps, as many as keep the stiff low-speed modes stable."""
     mean = state.mean
-    vx = sample[at.VX]
-    ax = sample[at.AX] if math.isfinite(sample[at.AX]) else 0.0
-    ay = sample[at.AY] if math.isfinite(sample[at.AY]) else 0.0
-    # The error of a held steering angle acts through the front tyres. It lasts about a second, so as white noise
-    # its density is its size.
-    wrong_force = noise.missing_steer * sample[at.STEER_HELD] * car.stiffness_front
-    wrong_yaw, wrong_slip = wrong_force * car.a / car.yaw_inertia, wrong_force / (car.mass * vx)
-    steps = stable_substeps(vx, dt, car)
+    of_yaw, of_both, of_slip = motion_noise(sample, car, noise)
+    steps = stable_substeps(sample[at.VX], dt, car)
     h = dt / steps
     for _ in range(steps):
-        rates, _, jacobian = single_track_rates(
-            mean[0],
-            mean[1],
-            vx,
-            sample[at.STEER],
-            sample[at.STEER_REAR],
-            sample[at.FXF],
-            sample[at.FXR],
-            ax,
-            ay,
-            car,
-        )
-        yaw_r, slip_r, _, _, yaw_b, slip_b, _, _ = jacobian
+        rates, _, (yaw_r, slip_r, _, _, yaw_b, slip_b, _, _) = rates_at(mean[0], mean[1], sample, car)
         mean[0] += h * rates[0]
-        mean[1] = min(max(mean[1] + h * rates[1], -MAX_BETA), MAX_BETA)
+        mean[1] = bounded_slip(mean[1] + h * rates[1])
         propagate(
             state.cov, 1.0 + h * yaw_r, h * yaw_b, h * slip_r, 1.0 + h * slip_b,
-            (noise.yaw_acceleration**2 + wrong_yaw**2) * h,
-            wrong_yaw * wrong_slip * h,
-            (noise.slip_rate**2 + wrong_slip**2) * h,
+            of_yaw * h, of_both * h, of_slip * h,
         )  # fmt: skip
 
 
@@ -87,30 +67,16 @@ def dynamic_update(state, sample, car, noise):
     """
     mean = state.mean
     yaw_prior, beta_prior = mean[0], mean[1]
-    ax = sample[at.AX] if math.isfinite(sample[at.AX]) else 0.0
-    ay = sample[at.AY] if math.isfinite(sample[at.AY]) else 0.0
-    _, measured, jacobian = single_track_rates(
-        yaw_prior,
-        beta_prior,
-        sample[at.VX],
-        sample[at.STEER],
-        sample[at.STEER_REAR],
-        sample[at.FXF],
-        sample[at.FXR],
-        ax,
-        ay,
-        car,
-    )
+    _, measured, jacobian = rates_at(yaw_prior, beta_prior, sample, car)
     ay_r, ay_b = jacobian[3], jacobian[7]
-    wrong_ay = noise.missing_steer * sample[at.STEER_HELD] * car.stiffness_front / car.mass
     nis = math.nan
     if math.isfinite(sample[at.YAW_RATE]):
         nis = scalar_update(state, 1.0, 0.0, sample[at.YAW_RATE] - yaw_prior, noise.yaw_rate**2)
     if math.isfinite(sample[at.AY]):
         expected = measured[1] + ay_r * (mean[0] - yaw_prior) + ay_b * (mean[1] - beta_prior)
-        part = scalar_update(state, ay_r, ay_b, sample[at.AY] - expected, noise.ay**2 + wrong_ay**2)
-        nis = part if math.isnan(nis) else nis + part
-    mean[1] = min(max(mean[1], -MAX_BETA), MAX_BETA)
+        variance = ay_variance(sample, car, noise)
+        nis = joined_nis(nis, scalar_update(state, ay_r, ay_b, sample[at.AY] - expected, variance))
+    mean[1] = bounded_slip(mean[1])
     return nis, sample[at.YAW_RATE] - yaw_prior, sample[at.AY] - measured[1]
 
 
@@ -120,22 +86,14 @@ def dynamic_step(state, sample, car, noise, dt, out):
 
     Gives the innovations of yaw rate [rad/s] and ay [m/s^2], NaN where nothing was updated.
     """
-    mean, cov = state.mean, state.cov
-    if below_gate(sample):
-        low_speed_answer(sample, car, out)
-        state.running[0] = 0
-        return math.nan, math.nan
-    if state.running[0] == 0:
-        low_speed_answer(sample, car, out)
-        mean[0] = sample[at.YAW_RATE] if math.isfinite(sample[at.YAW_RATE]) else 0.0
-        mean[1] = out[at.BETA]
-        cov[0, 0], cov[0, 1], cov[1, 0], cov[1, 1] = noise.yaw_rate**2, 0.0, 0.0, out[at.BETA_STD] ** 2
-        state.running[0] = 1
+    if starting(state.running, sample, car, out):
+        start_motion(state.mean, sample, out)
+        start_doubt(state.cov, noise, out)
         return math.nan, math.nan
     dynamic_predict(state, sample, car, noise, dt)
     out[at.NIS], innovation_yaw_rate, innovation_ay = dynamic_update(state, sample, car, noise)
-    out[at.BETA] = mean[1]
-    out[at.BETA_STD] = math.sqrt(cov[1, 1])
+    out[at.BETA] = state.mean[1]
+    out[at.BETA_STD] = math.sqrt(state.cov[1, 1])
     return innovation_yaw_rate, innovation_ay
 
 

@@ -18,22 +18,22 @@ import numpy as np
 
 from crosscomb.filters import columns as at
 from crosscomb.filters.algebra.leading import consider_update, propagate_leading
-from crosscomb.filters.base import MAX_BETA, KernelFilter, below_gate, low_speed_answer
+from crosscomb.filters.base import KernelFilter, bounded_slip, joined_nis, starting
 from crosscomb.filters.single_track.adaptation import TyreCar, excited, growth
-from crosscomb.models.compiled import inlined, kernel
-from crosscomb.models.parameter_track import (
-    BETA_RATE,
-    BY_BETA,
-    BY_PARAMETER,
-    BY_YAW_RATE,
-    LATERAL,
-    LAWS,
-    SLOPES_SHAPE,
-    YAW_ACCELERATION,
-    parameter_track_rates,
+from crosscomb.filters.single_track.shared import (
+    ay_variance,
+    motion_noise,
+    parameter_rates_at,
+    start_doubt,
+    start_motion,
 )
+from crosscomb.models.compiled import inlined, kernel
+from crosscomb.models.parameter_track import BY_BETA, BY_PARAMETER, BY_YAW_RATE, LATERAL, LAWS, SLOPES_SHAPE
 from crosscomb.models.single_track import single_track, stable_substeps
 from crosscomb.signals import GRAVITY
+
+BY_STATE = (BY_YAW_RATE, BY_BETA, BY_PARAMETER)
+"""Columns of the slopes in the order of the state."""
 
 LEAST_FRICTION, MOST_FRICTION = 0.08, 1.5
 """Wet ice and a racing slick: the friction stays between them; a file may say more."""
@@ -67,41 +67,25 @@ class FrictionState(NamedTuple):
 
 
 @inlined
-def friction_rates(state, sample, car):
-    """Rates and ay at the estimate; fills `state.slopes`."""
-    ax = sample[at.AX] if math.isfinite(sample[at.AX]) else 0.0
-    ay = sample[at.AY] if math.isfinite(sample[at.AY]) else 0.0
-    return parameter_track_rates(
-        state.mean[0], state.mean[1], sample[at.VX], sample[at.STEER], sample[at.STEER_REAR], sample[at.FXF],
-        sample[at.FXR], ax, ay, car.law, state.mean[2:], car.track, state.by, state.slopes,
-    )  # fmt: skip
-
-
-@inlined
 def friction_predict(state, sample, car, noise, dt, adapting):
     """Predict over dt by Euler steps."""
     mean, cov, slopes, rows = state.mean, state.cov, state.slopes, state.rows
-    wrong_force = noise.missing_steer * sample[at.STEER_HELD] * car.track.stiffness_front
-    wrong_yaw = wrong_force * car.track.a / car.track.yaw_inertia
-    wrong_slip = wrong_force / (car.track.mass * sample[at.VX])
+    of_yaw, of_both, of_slip = motion_noise(sample, car.track, noise)
     steps = stable_substeps(sample[at.VX], dt, car.track)
     h = dt / steps
     for _ in range(steps):
-        beta_rate, yaw_acceleration, _ = friction_rates(state, sample, car)
-        rows[0, 0], rows[0, 1] = (
-            1.0 + h * slopes[YAW_ACCELERATION, BY_YAW_RATE],
-            h * slopes[YAW_ACCELERATION, BY_BETA],
-        )
-        rows[1, 0], rows[1, 1] = h * slopes[BETA_RATE, BY_YAW_RATE], 1.0 + h * slopes[BETA_RATE, BY_BETA]
-        rows[0, 2] = h * slopes[YAW_ACCELERATION, BY_PARAMETER]
-        rows[1, 2] = h * slopes[BETA_RATE, BY_PARAMETER]
+        yaw_acceleration, beta_rate, _ = parameter_rates_at(mean[0], mean[1], sample, car, mean[2:], state)
+        for i in range(2):
+            for j in range(3):
+                rows[i, j] = h * slopes[i, BY_STATE[j]]
+            rows[i, i] += 1.0
         propagate_leading(cov, rows, state.work)
-        cov[0, 0] += (noise.yaw_acceleration**2 + wrong_yaw**2) * h
-        cov[1, 1] += (noise.slip_rate**2 + wrong_slip**2) * h
-        cov[0, 1] += wrong_yaw * wrong_slip * h
+        cov[0, 0] += of_yaw * h
+        cov[1, 1] += of_slip * h
+        cov[0, 1] += of_both * h
         cov[1, 0] = cov[0, 1]
         mean[0] += h * yaw_acceleration
-        mean[1] = min(max(mean[1] + h * beta_rate, -MAX_BETA), MAX_BETA)
+        mean[1] = bounded_slip(mean[1] + h * beta_rate)
     if adapting:
         cov[2, 2] += growth(cov[2, 2], noise.friction_walk, noise.friction_spread, dt)
 
@@ -112,8 +96,7 @@ def friction_update(state, sample, car, noise, free):
     mean, cov, slopes = state.mean, state.cov, state.slopes
     row, gain, crossed = state.vectors[0], state.vectors[1], state.vectors[2]
     yaw_rate, beta, friction = mean[0], mean[1], mean[2]
-    _, _, expected = friction_rates(state, sample, car)
-    wrong_ay = noise.missing_steer * sample[at.STEER_HELD] * car.track.stiffness_front / car.track.mass
+    _, _, expected = parameter_rates_at(yaw_rate, beta, sample, car, mean[2:], state)
     nis = math.nan
     if math.isfinite(sample[at.YAW_RATE]):
         row[0], row[1], row[2] = 1.0, 0.0, 0.0
@@ -121,13 +104,13 @@ def friction_update(state, sample, car, noise, free):
             mean, cov, row, sample[at.YAW_RATE] - yaw_rate, noise.yaw_rate**2, free, gain, crossed
         )
     if math.isfinite(sample[at.AY]):
-        row[0], row[1] = slopes[LATERAL, BY_YAW_RATE], slopes[LATERAL, BY_BETA]
-        row[2] = slopes[LATERAL, BY_PARAMETER]
+        for j in range(3):
+            row[j] = slopes[LATERAL, BY_STATE[j]]
         expected += row[0] * (mean[0] - yaw_rate) + row[1] * (mean[1] - beta) + row[2] * (mean[2] - friction)
-        variance = noise.ay**2 + wrong_ay**2
+        variance = ay_variance(sample, car.track, noise)
         part = consider_update(mean, cov, row, sample[at.AY] - expected, variance, free, gain, crossed)
-        nis = part if math.isnan(nis) else nis + part
-    mean[1] = min(max(mean[1], -MAX_BETA), MAX_BETA)
+        nis = joined_nis(nis, part)
+    mean[1] = bounded_slip(mean[1])
     return nis
 
 
@@ -143,14 +126,9 @@ def friction_bounds(state, sample, car, adapting):
 def friction_step(state, sample, car, noise, dt, out):
     """One sample; `out` ``(4,)`` gets beta, its standard deviation, the NIS and the friction."""
     mean, cov = state.mean, state.cov
-    if below_gate(sample) or state.running[0] == 0:
-        low_speed_answer(sample, car.track, out)
-        mean[0] = sample[at.YAW_RATE] if math.isfinite(sample[at.YAW_RATE]) else 0.0
-        mean[1] = out[at.BETA]
-        cov[:2, :] = 0.0
-        cov[:, :2] = 0.0
-        cov[0, 0], cov[1, 1] = noise.yaw_rate**2, out[at.BETA_STD] ** 2
-        state.running[0] = 0 if below_gate(sample) else 1
+    if starting(state.running, sample, car.track, out):
+        start_motion(mean, sample, out)
+        start_doubt(cov, noise, out)
     else:
         adapting = excited(sample, noise)
         friction_predict(state, sample, car, noise, dt, adapting)

@@ -18,10 +18,17 @@ import numpy as np
 
 from crosscomb.filters import columns as at
 from crosscomb.filters.algebra.dense import joseph_update, propagate_cov
-from crosscomb.filters.base import MAX_BETA, KernelFilter, below_gate, low_speed_answer
+from crosscomb.filters.base import KernelFilter, bounded_slip, starting
 from crosscomb.filters.kinematic.gnss_kf import wrap
+from crosscomb.filters.single_track.shared import (
+    ay_variance,
+    motion_noise,
+    rates_at,
+    start_doubt,
+    start_motion,
+)
 from crosscomb.models.compiled import inlined, kernel
-from crosscomb.models.single_track import single_track_rates, stable_substeps
+from crosscomb.models.single_track import stable_substeps
 
 
 class GnssDynamicNoise(NamedTuple):
@@ -51,44 +58,24 @@ class GnssDynamic(NamedTuple):
 
 
 @inlined
-def model_at(mean, sample, car):
-    """Single-track model at a state and sample, as `single_track_rates` gives it."""
-    ax = sample[at.AX] if math.isfinite(sample[at.AX]) else 0.0
-    ay = sample[at.AY] if math.isfinite(sample[at.AY]) else 0.0
-    return single_track_rates(
-        mean[0],
-        mean[1],
-        sample[at.VX],
-        sample[at.STEER],
-        sample[at.STEER_REAR],
-        sample[at.FXF],
-        sample[at.FXR],
-        ax,
-        ay,
-        car,
-    )
-
-
-@inlined
 def disturbed_predict(state, sample, car, noise, dt):
     """Predict [yaw_rate, beta, disturbance] by Euler steps, as many as keep the stiff modes stable."""
     mean, f, q = state.mean, state.transition, state.added
-    wrong_force = noise.missing_steer * sample[at.STEER_HELD] * car.stiffness_front
-    wrong_yaw, wrong_slip = wrong_force * car.a / car.yaw_inertia, wrong_force / (car.mass * sample[at.VX])
+    of_yaw, of_both, of_slip = motion_noise(sample, car, noise)
     steps = stable_substeps(sample[at.VX], dt, car)
     h = dt / steps
     keep = math.exp(-h / noise.disturbance_time)
     for _ in range(steps):
-        rates, _, (yaw_r, slip_r, _, _, yaw_b, slip_b, _, _) = model_at(mean, sample, car)
+        rates, _, (yaw_r, slip_r, _, _, yaw_b, slip_b, _, _) = rates_at(mean[0], mean[1], sample, car)
         mean[0] += h * rates[0]
-        mean[1] = min(max(mean[1] + h * (rates[1] + mean[2]), -MAX_BETA), MAX_BETA)
+        mean[1] = bounded_slip(mean[1] + h * (rates[1] + mean[2]))
         mean[2] *= keep
         f[0, 0], f[0, 1], f[0, 2] = 1.0 + h * yaw_r, h * yaw_b, 0.0
         f[1, 0], f[1, 1], f[1, 2] = h * slip_r, 1.0 + h * slip_b, h
         f[2, 0], f[2, 1], f[2, 2] = 0.0, 0.0, keep
-        q[0, 0] = (noise.yaw_acceleration**2 + wrong_yaw**2) * h
-        q[0, 1] = q[1, 0] = wrong_yaw * wrong_slip * h
-        q[1, 1] = (noise.slip_rate**2 + wrong_slip**2) * h
+        q[0, 0] = of_yaw * h
+        q[0, 1] = q[1, 0] = of_both * h
+        q[1, 1] = of_slip * h
         q[2, 2] = noise.disturbance**2 * (1.0 - keep * keep)
         propagate_cov(state.cov, f, q, state.work)
 
@@ -101,7 +88,7 @@ def disturbed_update(state, sample, car, noise):
     """
     mean, row = state.mean, state.row
     yaw_prior, beta_prior = mean[0], mean[1]
-    _, (_, ay), jacobian = model_at(mean, sample, car)
+    _, (_, ay), jacobian = rates_at(mean[0], mean[1], sample, car)
     nis, count = 0.0, 0
     if math.isfinite(sample[at.YAW_RATE]):
         row[0], row[1] = 1.0, 0.0
@@ -112,10 +99,8 @@ def disturbed_update(state, sample, car, noise):
     if math.isfinite(sample[at.AY]):
         row[0], row[1] = jacobian[3], jacobian[7]
         expected = ay + row[0] * (mean[0] - yaw_prior) + row[1] * (mean[1] - beta_prior)
-        wrong_ay = noise.missing_steer * sample[at.STEER_HELD] * car.stiffness_front / car.mass
-        nis += joseph_update(
-            mean, state.cov, row, sample[at.AY] - expected, noise.ay**2 + wrong_ay**2, state.work
-        )
+        variance = ay_variance(sample, car, noise)
+        nis += joseph_update(mean, state.cov, row, sample[at.AY] - expected, variance, state.work)
         count += 1
     if math.isfinite(sample[at.GNSS_COURSE]) and math.isfinite(sample[at.HEADING]):
         row[0], row[1] = 0.0, 1.0
@@ -130,21 +115,15 @@ def disturbed_update(state, sample, car, noise):
 def gnss_dynamic_step(state, sample, car, noise, dt, out):
     """One sample of the dynamic observer; `out` ``(3,)`` gets beta, its standard deviation and the NIS."""
     mean, cov = state.mean, state.cov
-    if below_gate(sample):
-        low_speed_answer(sample, car, out)
-        state.running[0] = 0
-        return
-    if state.running[0] == 0:
-        low_speed_answer(sample, car, out)
-        mean[0] = sample[at.YAW_RATE] if math.isfinite(sample[at.YAW_RATE]) else 0.0
-        mean[1], mean[2] = out[at.BETA], 0.0
-        cov[:, :] = 0.0
-        cov[0, 0], cov[1, 1], cov[2, 2] = noise.yaw_rate**2, out[at.BETA_STD] ** 2, noise.disturbance**2
-        state.running[0] = 1
+    if starting(state.running, sample, car, out):
+        start_motion(mean, sample, out)
+        mean[2] = 0.0
+        start_doubt(cov, noise, out)
+        cov[2, 2] = noise.disturbance**2
         return
     disturbed_predict(state, sample, car, noise, dt)
     out[at.NIS] = disturbed_update(state, sample, car, noise)
-    mean[1] = min(max(mean[1], -MAX_BETA), MAX_BETA)
+    mean[1] = bounded_slip(mean[1])
     most = 6.0 * noise.disturbance
     mean[2] = min(max(mean[2], -most), most)
     out[at.BETA], out[at.BETA_STD] = mean[1], math.sqrt(cov[1, 1])

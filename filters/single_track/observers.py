@@ -31,10 +31,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from crosscomb.filters import columns as at
-from crosscomb.filters.base import MAX_BETA, KernelFilter, below_gate, low_speed_answer
+from crosscomb.filters.base import KernelFilter, bounded_slip, starting
+from crosscomb.filters.single_track.shared import rates_at, start_motion, wrong_front_force
 from crosscomb.models.compiled import inlined, kernel
 from crosscomb.models.linear_single_track import linear_single_track_rates
-from crosscomb.models.single_track import single_track_rates, stable_substeps
+from crosscomb.models.single_track import stable_substeps
 
 MAX_YAW_RATE = 3.0
 """The state is held inside [rad/s]."""
@@ -94,19 +95,15 @@ def saturate(value, layer):
 def move(mean, yaw_rate, beta):
     """Change the state by so much and hold it inside meaningful ranges."""
     mean[0] = min(max(mean[0] + yaw_rate, -MAX_YAW_RATE), MAX_YAW_RATE)
-    mean[1] = min(max(mean[1] + beta, -MAX_BETA), MAX_BETA)
+    mean[1] = bounded_slip(mean[1] + beta)
 
 
 @inlined
 def observer_start(state, sample, car, out):
     """Answer where the car is slow and start on the first sample above the gate; True where it did either."""
-    slow = below_gate(sample)
-    if not slow and state.running[0] == 1:
+    if not starting(state.running, sample, car, out):
         return False
-    low_speed_answer(sample, car, out)
-    state.running[0] = 0 if slow else 1
-    state.mean[0] = sample[at.YAW_RATE] if math.isfinite(sample[at.YAW_RATE]) else 0.0
-    state.mean[1] = out[at.BETA]
+    start_motion(state.mean, sample, out)
     state.error2[0] = ((car.stiffness_front + car.stiffness_rear) / car.mass * 0.5 * out[at.BETA_STD]) ** 2
     return True
 
@@ -115,7 +112,7 @@ def observer_start(state, sample, car, out):
 def observer_answer(state, sample, ay, car, settings, dt, out):
     """Write beta and the stated measure of its error (see the head of this file)."""
     stiffness = car.stiffness_front + car.stiffness_rear
-    error2 = (settings.missing_steer * sample[at.STEER_HELD] * car.stiffness_front / car.mass) ** 2
+    error2 = (wrong_front_force(sample, car, settings) / car.mass) ** 2
     if math.isfinite(sample[at.AY]):
         error2 += (sample[at.AY] - ay) ** 2
     else:
@@ -170,18 +167,13 @@ def nonlinear_step(state, sample, car, settings, layers, dt, out):
     """One sample of an observer on the nonlinear single track; boundary layers (2,) of its innovations."""
     if observer_start(state, sample, car, out):
         return
-    mean, vx, steer, steer_rear = state.mean, sample[at.VX], sample[at.STEER], sample[at.STEER_REAR]
-    fxf, fxr = sample[at.FXF], sample[at.FXR]
-    ax = sample[at.AX] if math.isfinite(sample[at.AX]) else 0.0
-    ay_seen = sample[at.AY] if math.isfinite(sample[at.AY]) else 0.0
-    steps = stable_substeps(vx, dt, car)
+    mean = state.mean
+    steps = stable_substeps(sample[at.VX], dt, car)
     h = dt / steps
     for _ in range(steps):
-        rates, _, _ = single_track_rates(mean[0], mean[1], vx, steer, steer_rear, fxf, fxr, ax, ay_seen, car)
+        rates, _, _ = rates_at(mean[0], mean[1], sample, car)
         move(mean, h * rates[0], h * rates[1])
-    _, (_, ay), (a11, a21, _, c21, _, _, _, c22) = single_track_rates(
-        mean[0], mean[1], vx, steer, steer_rear, fxf, fxr, ax, ay_seen, car
-    )
+    _, (_, ay), (a11, a21, _, c21, _, _, _, c22) = rates_at(mean[0], mean[1], sample, car)
     correct(state, sample, ay, a11, a21, c21, c22, car, settings, layers, dt)
     observer_answer(state, sample, ay, car, settings, dt, out)
 

@@ -25,10 +25,11 @@ from crosscomb.filters.algebra.particles import (
     weighted_beta,
 )
 from crosscomb.filters.algebra.resampling import RESAMPLING, resample
-from crosscomb.filters.base import MAX_BETA, KernelFilter, below_gate, low_speed_answer
+from crosscomb.filters.base import KernelFilter, bounded_slip, or_zero, starting
 from crosscomb.filters.single_track.ekf import DynamicNoise
+from crosscomb.filters.single_track.shared import ay_variance, rates_at, wrong_front_force
 from crosscomb.models.compiled import kernel
-from crosscomb.models.single_track import single_track_rates, stable_substeps
+from crosscomb.models.single_track import stable_substeps
 
 
 class SingleTrackParticles(NamedTuple):
@@ -55,73 +56,46 @@ def first_slips(state, yaw_rate, beta, beta_std, noise):
 
 
 @kernel
-def wrong_steer(sample, car, noise):
-    """Error of the front axle's force by a held steering angle [N]; lasts about a second (see `DynamicNoise`)."""
-    return noise.missing_steer * sample[at.STEER_HELD] * car.stiffness_front
-
-
-@kernel
 def move_slips(state, sample, car, noise, dt):
     """Predict every particle over dt by Euler steps, as many as keep the stiff low-speed modes stable."""
     x, draws, rng = state.x, state.scratch, state.rng
     draw_uniform(rng, draws)
-    vx, root, force = sample[at.VX], math.sqrt(dt), wrong_steer(sample, car, noise)
-    ax = sample[at.AX] if math.isfinite(sample[at.AX]) else 0.0
-    ay = sample[at.AY] if math.isfinite(sample[at.AY]) else 0.0
+    vx, root, force = sample[at.VX], math.sqrt(dt), wrong_front_force(sample, car, noise)
     yaw_by_force, slip_by_force = car.a / car.yaw_inertia, 1.0 / (car.mass * vx)
     steps = stable_substeps(vx, dt, car)
     for i in range(x.shape[1]):
         yaw_rate, beta = x[0, i], x[1, i]
         for _ in range(steps):
-            rates, _, _ = single_track_rates(
-                yaw_rate,
-                beta,
-                vx,
-                sample[at.STEER],
-                sample[at.STEER_REAR],
-                sample[at.FXF],
-                sample[at.FXR],
-                ax,
-                ay,
-                car,
-            )
+            rates, _, _ = rates_at(yaw_rate, beta, sample, car)
             yaw_rate += dt / steps * rates[0]
-            beta = min(max(beta + dt / steps * rates[1], -MAX_BETA), MAX_BETA)
+            beta = bounded_slip(beta + dt / steps * rates[1])
         wrong = force * UNIFORM * (rng.random() - 0.5) if force > 0.0 else 0.0
         yaw_rate += root * (noise.yaw_acceleration * draws[0, i] + yaw_by_force * wrong)
         beta += root * (noise.slip_rate * draws[1, i] + slip_by_force * wrong)
-        x[0, i], x[1, i] = yaw_rate, min(max(beta, -MAX_BETA), MAX_BETA)
+        x[0, i], x[1, i] = yaw_rate, bounded_slip(beta)
 
 
 @kernel
 def weigh_slips(state, sample, car, noise):
     """Add the log likelihood of the yaw rate and ay that are there to the log weights."""
     x, log_weights = state.x, state.log_weights
-    ax = sample[at.AX] if math.isfinite(sample[at.AX]) else 0.0
-    wrong_ay = wrong_steer(sample, car, noise) / car.mass
     if math.isfinite(sample[at.YAW_RATE]):
         precision = 0.5 / noise.yaw_rate**2
         for i in range(log_weights.size):
             log_weights[i] -= precision * (sample[at.YAW_RATE] - x[0, i]) ** 2
     if math.isfinite(sample[at.AY]):
-        precision = 0.5 / (noise.ay**2 + wrong_ay**2)
+        precision = 0.5 / ay_variance(sample, car, noise)
         for i in range(log_weights.size):
-            _, measured, _ = single_track_rates(
-                x[0, i], x[1, i], sample[at.VX], sample[at.STEER], sample[at.STEER_REAR],
-                sample[at.FXF], sample[at.FXR], ax, sample[at.AY], car,
-            )  # fmt: skip
+            _, measured, _ = rates_at(x[0, i], x[1, i], sample, car)
             log_weights[i] -= precision * (sample[at.AY] - measured[1]) ** 2
 
 
 @njit(cache=True)
 def dynamic_particle_step(state, sample, car, noise, dt, out):
     """One sample of the filter; `out` ``(3,)`` gets beta, its standard deviation and NaN."""
-    if below_gate(sample) or state.running[0] == 0:
-        low_speed_answer(sample, car, out)
-        state.running[0] = 0 if below_gate(sample) else 1
+    if starting(state.running, sample, car, out):
         if state.running[0] == 1:
-            yaw_rate = sample[at.YAW_RATE] if math.isfinite(sample[at.YAW_RATE]) else 0.0
-            first_slips(state, yaw_rate, out[at.BETA], out[at.BETA_STD], noise)
+            first_slips(state, or_zero(sample[at.YAW_RATE]), out[at.BETA], out[at.BETA_STD], noise)
         return
     move_slips(state, sample, car, noise, dt)
     weigh_slips(state, sample, car, noise)

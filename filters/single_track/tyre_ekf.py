@@ -25,20 +25,25 @@ import numpy as np
 
 from crosscomb.filters import columns as at
 from crosscomb.filters.algebra.leading import consider_update, propagate_leading
-from crosscomb.filters.base import MAX_BETA, KernelFilter, below_gate, low_speed_answer
+from crosscomb.filters.base import MAX_BETA, KernelFilter, joined_nis, or_zero, starting
 from crosscomb.filters.single_track.adaptation import Limits, TyreCar, excited, growth, parameter_limits
+from crosscomb.filters.single_track.shared import parameter_rates_at
 from crosscomb.models.compiled import inlined, kernel
 from crosscomb.models.parameter_track import (
     BETA_RATE,
+    BY_BETA,
     BY_PARAMETER,
     BY_STEER,
+    BY_YAW_RATE,
     LAWS,
     SLOPES_SHAPE,
     YAW_ACCELERATION,
     lateral_acceleration,
-    parameter_track_rates,
 )
 from crosscomb.models.single_track import single_track, stable_substeps
+
+S_BETA, S_YAW_RATE, S_BETA_RATE, S_YAW_ACCELERATION = range(4)
+"""States, in the order of the paper."""
 
 RATES = 4
 """States before the tyre parameters."""
@@ -105,13 +110,13 @@ def make_tyre_state(limits: Limits, adapting: bool) -> TyreState:
 def tyre_start(state, sample, beta, beta_std, noise):
     """Start beta, yaw rate and the rates anew; the parameters stay as they were learned."""
     mean, cov = state.mean, state.cov
-    mean[0] = beta
-    mean[1] = sample[at.YAW_RATE] if math.isfinite(sample[at.YAW_RATE]) else 0.0
-    mean[2] = mean[3] = 0.0
+    mean[S_BETA], mean[S_YAW_RATE] = beta, or_zero(sample[at.YAW_RATE])
+    mean[S_BETA_RATE] = mean[S_YAW_ACCELERATION] = 0.0
     cov[:RATES, :] = 0.0
     cov[:, :RATES] = 0.0
-    cov[0, 0], cov[1, 1] = beta_std**2, noise.yaw_rate**2
-    cov[2, 2], cov[3, 3] = FIRST_RATES_STD[0] ** 2, FIRST_RATES_STD[1] ** 2
+    cov[S_BETA, S_BETA], cov[S_YAW_RATE, S_YAW_RATE] = beta_std**2, noise.yaw_rate**2
+    cov[S_BETA_RATE, S_BETA_RATE] = FIRST_RATES_STD[0] ** 2
+    cov[S_YAW_ACCELERATION, S_YAW_ACCELERATION] = FIRST_RATES_STD[1] ** 2
 
 
 @inlined
@@ -119,33 +124,30 @@ def tyre_predict(state, sample, car, noise, dt, adapting):
     """Predict over dt by Euler steps, so many that the rates, which lag a step behind, stay stable."""
     mean, cov, slopes, rows, limits = state.mean, state.cov, state.slopes, state.rows, state.limits
     n = cov.shape[0]
-    ax = sample[at.AX] if math.isfinite(sample[at.AX]) else 0.0
-    ay = sample[at.AY] if math.isfinite(sample[at.AY]) else 0.0
     angle = noise.steer**2 + (noise.missing_steer * sample[at.STEER_HELD]) ** 2
     steps = stable_substeps(sample[at.VX], 2.0 * dt, car.track)
     h = dt / steps
     for _ in range(steps):
-        beta_rate, yaw_acceleration, _ = parameter_track_rates(
-            mean[1], mean[0], sample[at.VX], sample[at.STEER], sample[at.STEER_REAR], sample[at.FXF], sample[at.FXR],
-            ax, ay, car.law, mean[RATES:], car.track, state.by, slopes,
-        )  # fmt: skip
-        rows[0, 0] = rows[1, 1] = 1.0
-        rows[0, 2] = rows[1, 3] = h
-        for i in range(2):
-            rows[2, i], rows[3, i] = slopes[BETA_RATE, i], slopes[YAW_ACCELERATION, i]
-        for i in range(RATES, n):
-            rows[2, i] = slopes[BETA_RATE, BY_PARAMETER + i - RATES]
-            rows[3, i] = slopes[YAW_ACCELERATION, BY_PARAMETER + i - RATES]
+        yaw_acceleration, beta_rate, _ = parameter_rates_at(
+            mean[S_YAW_RATE], mean[S_BETA], sample, car, mean[RATES:], state
+        )
+        rows[S_BETA, S_BETA] = rows[S_YAW_RATE, S_YAW_RATE] = 1.0
+        rows[S_BETA, S_BETA_RATE] = rows[S_YAW_RATE, S_YAW_ACCELERATION] = h
+        for i in range(n):
+            if i < S_BETA_RATE or i >= RATES:
+                by = BY_BETA if i == S_BETA else BY_YAW_RATE if i == S_YAW_RATE else BY_PARAMETER + i - RATES
+                rows[S_BETA_RATE, i] = slopes[BETA_RATE, by]
+                rows[S_YAW_ACCELERATION, i] = slopes[YAW_ACCELERATION, by]
         propagate_leading(cov, rows, state.work)
         # White noise of the rates: over h it must give beta and yaw rate its density times h.
         by_slip, by_yaw = slopes[BETA_RATE, BY_STEER], slopes[YAW_ACCELERATION, BY_STEER]
-        cov[2, 2] += (angle * by_slip**2 + noise.slip_rate**2) / h
-        cov[3, 3] += (angle * by_yaw**2 + noise.yaw_acceleration**2) / h
-        cov[2, 3] += angle * by_slip * by_yaw / h
-        cov[3, 2] = cov[2, 3]
-        mean[0] += h * mean[2]
-        mean[1] += h * mean[3]
-        mean[2], mean[3] = beta_rate, yaw_acceleration
+        cov[S_BETA_RATE, S_BETA_RATE] += (angle * by_slip**2 + noise.slip_rate**2) / h
+        cov[S_YAW_ACCELERATION, S_YAW_ACCELERATION] += (angle * by_yaw**2 + noise.yaw_acceleration**2) / h
+        cov[S_BETA_RATE, S_YAW_ACCELERATION] += angle * by_slip * by_yaw / h
+        cov[S_YAW_ACCELERATION, S_BETA_RATE] = cov[S_BETA_RATE, S_YAW_ACCELERATION]
+        mean[S_BETA] += h * mean[S_BETA_RATE]
+        mean[S_YAW_RATE] += h * mean[S_YAW_ACCELERATION]
+        mean[S_BETA_RATE], mean[S_YAW_ACCELERATION] = beta_rate, yaw_acceleration
         hold_rates(mean)
     for i in range(RATES, n):
         p = i - RATES
@@ -165,23 +167,26 @@ def tyre_update(state, sample, noise, free):
     """Update the first `free` states with yaw rate and ay, as far as they are there; give the NIS."""
     mean, cov = state.mean, state.cov
     row, gain, crossed = state.vectors[0], state.vectors[1], state.vectors[2]
-    ax = sample[at.AX] if math.isfinite(sample[at.AX]) else 0.0
-    beta, yaw_rate, beta_rate = mean[0], mean[1], mean[2]
+    beta, yaw_rate, beta_rate = mean[S_BETA], mean[S_YAW_RATE], mean[S_BETA_RATE]
     nis = math.nan
     if math.isfinite(sample[at.YAW_RATE]):
         row[:] = 0.0
-        row[1] = 1.0
+        row[S_YAW_RATE] = 1.0
         nis = consider_update(
             mean, cov, row, sample[at.YAW_RATE] - yaw_rate, noise.yaw_rate**2, free, gain, crossed
         )
     if math.isfinite(sample[at.AY]):
-        expected, by_beta, by_rate = lateral_acceleration(beta, yaw_rate, beta_rate, sample[at.VX], ax)
+        expected, by_beta, by_rate = lateral_acceleration(
+            beta, yaw_rate, beta_rate, sample[at.VX], or_zero(sample[at.AX])
+        )
         # The yaw rate has moved the state: same Jacobian, so the two equal one joint update.
-        expected += by_beta * (mean[0] - beta) + by_rate * (mean[1] - yaw_rate + mean[2] - beta_rate)
+        expected += by_beta * (mean[S_BETA] - beta) + by_rate * (
+            mean[S_YAW_RATE] - yaw_rate + mean[S_BETA_RATE] - beta_rate
+        )
         row[:] = 0.0
-        row[0], row[1], row[2] = by_beta, by_rate, by_rate
+        row[S_BETA], row[S_YAW_RATE], row[S_BETA_RATE] = by_beta, by_rate, by_rate
         part = consider_update(mean, cov, row, sample[at.AY] - expected, noise.ay**2, free, gain, crossed)
-        nis = part if math.isnan(nis) else nis + part
+        nis = joined_nis(nis, part)
     hold_rates(mean)
     for i in range(RATES, free):
         mean[i] = min(max(mean[i], state.limits.least[i - RATES]), state.limits.most[i - RATES])
@@ -194,20 +199,14 @@ def tyre_step(state, sample, car, noise, dt, out):
     mean, cov = state.mean, state.cov
     for i in range(3, out.shape[0]):
         out[i] = mean[RATES + i - 3]
-    if below_gate(sample):
-        low_speed_answer(sample, car.track, out)
-        state.running[0] = 0
-        return
-    if state.running[0] == 0:
-        low_speed_answer(sample, car.track, out)
+    if starting(state.running, sample, car.track, out):
         tyre_start(state, sample, out[at.BETA], out[at.BETA_STD], noise)
-        state.running[0] = 1
         return
     adapting = excited(sample, noise)
     tyre_predict(state, sample, car, noise, dt, adapting)
     out[at.NIS] = tyre_update(state, sample, noise, cov.shape[0] if adapting else RATES)
-    out[at.BETA] = mean[0]
-    out[at.BETA_STD] = math.sqrt(cov[0, 0])
+    out[at.BETA] = mean[S_BETA]
+    out[at.BETA_STD] = math.sqrt(cov[S_BETA, S_BETA])
     for i in range(3, out.shape[0]):
         out[i] = mean[RATES + i - 3]
 

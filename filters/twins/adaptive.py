@@ -117,8 +117,8 @@ def twin_tyre_ekf(estimator: RATT, inputs: Inputs) -> Estimate:
 
     def predict(sample: np.ndarray, h: float) -> None:
         tyres = ekf.x[RATES:] if n > RATES else fixed
-        beta_rate, yaw_acceleration, _, slopes = _track(sample, ekf.x[[1, 0]], tyres, car)
-        columns = [0, 1, *range(3, 3 + n - RATES)]
+        yaw_acceleration, beta_rate, _, slopes = _track(sample, ekf.x[[1, 0]], tyres, car)
+        slopes, columns = slopes[[1, 0]], [1, 0, *range(3, 3 + n - RATES)]  # the state has beta first
         ekf.F = np.eye(n)
         ekf.F[2:4] = 0.0
         ekf.F[0, 2] = ekf.F[1, 3] = h
@@ -168,7 +168,6 @@ def twin_dual_ekf(estimator: DualEKF, inputs: Inputs) -> Estimate:
     limits, sensitivity = first.limits, np.zeros((2, 4))
     motion, tyres = PlainEKF(dim_x=2, dim_z=2), PlainEKF(dim_x=4, dim_z=2)
     tyres.x, tyres.P = first.tyres.copy(), first.tyre_cov.copy()
-    swap = [1, 0]  # slopes have beta before the yaw rate, in rows and columns
 
     def hold_beta() -> None:
         motion.x[1] = np.clip(motion.x[1], -base.MAX_BETA, base.MAX_BETA)
@@ -186,17 +185,17 @@ def twin_dual_ekf(estimator: DualEKF, inputs: Inputs) -> Estimate:
         steps = stable_substeps(sample[at.VX], dt, car.track)
         for _ in range(steps):
             h = dt / steps
-            beta_rate, yaw_acceleration, _, slopes = _track(sample, motion.x, tyres.x, car)
-            motion.F = np.eye(2) + h * slopes[swap][:, swap]
+            yaw_acceleration, beta_rate, _, slopes = _track(sample, motion.x, tyres.x, car)
+            motion.F = np.eye(2) + h * slopes[:2, :2]
             motion.Q = h * (
                 np.diag(np.square([noise.yaw_acceleration, noise.slip_rate])) + np.outer(aside, aside)
             )
             motion.predict(motion.x + h * np.array([yaw_acceleration, beta_rate]))
             hold_beta()
-            sensitivity[:] = motion.F @ sensitivity + h * slopes[swap, 3:]
+            sensitivity[:] = motion.F @ sensitivity + h * slopes[:2, 3:]
         _, _, ay, slopes = _track(sample, motion.x, tyres.x, car)
         z, there = sample[[at.YAW_RATE, at.AY]], np.isfinite(sample[[at.YAW_RATE, at.AY]])
-        h_matrix = np.array([[1.0, 0.0], slopes[2, swap]])
+        h_matrix = np.array([[1.0, 0.0], slopes[2, :2]])
         by_tyres = (h_matrix @ sensitivity + np.array([np.zeros(4), slopes[2, 3:]]))[there]
         expected = np.array([motion.x[0], ay])
         variance = np.array([noise.yaw_rate**2, noise.ay**2 + (wrong / car.track.mass) ** 2])
@@ -227,7 +226,7 @@ def twin_friction_adaptive_ekf(estimator: FrictionAdaptiveEKF, inputs: Inputs) -
     inputs : Inputs
     """
     noise, car, dt, state = estimator.noise, estimator.car, inputs.dt, estimator.make_state()
-    order = [1, 0, 3]  # columns of the slopes
+    order = [0, 1, 3]  # columns of the slopes
     ekf = PlainEKF(dim_x=3, dim_z=2)
     ekf.x, ekf.P = state.mean.copy(), state.cov.copy()
 
@@ -245,9 +244,9 @@ def twin_friction_adaptive_ekf(estimator: FrictionAdaptiveEKF, inputs: Inputs) -
         steps = stable_substeps(sample[at.VX], dt, car.track)
         for _ in range(steps):
             h = dt / steps
-            beta_rate, yaw_acceleration, _, slopes = _track(sample, ekf.x[:2], ekf.x[2:], car)
+            yaw_acceleration, beta_rate, _, slopes = _track(sample, ekf.x[:2], ekf.x[2:], car)
             ekf.F = np.eye(3)
-            ekf.F[:2] += h * slopes[[1, 0]][:, order]
+            ekf.F[:2] += h * slopes[:2, order]
             ekf.Q = h * (
                 np.diag([noise.yaw_acceleration**2, noise.slip_rate**2, 0.0]) + np.outer(aside, aside)
             )
