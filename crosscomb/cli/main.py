@@ -368,7 +368,7 @@ def check(
 
 @app.command()
 def benchmark(
-    suite: Annotated[str, typer.Argument(help="real, simulated or papers.")] = "simulated",
+    suite: Annotated[str, typer.Argument(help="real, simulated, papers or speed.")] = "simulated",
     data: Annotated[
         Path | None, typer.Option("--data", help="Folder of real logs, for the suite real.")
     ] = None,
@@ -382,13 +382,23 @@ def benchmark(
 ) -> None:
     """Print accuracy and speed of all estimators."""
     from crosscomb.report import terminal
-    from crosscomb.report.markdown import write_benchmark, write_papers
+    from crosscomb.report.markdown import write_benchmark, write_papers, write_speeds
     from crosscomb.run.drive import name_filters
     from crosscomb.run.tuned import load_tuned, require_used, with_tuned
     from crosscomb.selection.artefact import load_artefact
     from crosscomb.training.recordings import find_places
     from crosscomb.training.suites import benchmark as suites
 
+    if suite == "speed":
+        from crosscomb.training.suites.speed import measure_all, pairs_of
+
+        pairs = pairs_of(_names(filters))
+        with terminal.progress("timing", len(pairs)) as advance:
+            speeds_of_pairs = measure_all(pairs, advance)
+        terminal.show_speeds(speeds_of_pairs)
+        if output is not None:
+            write_speeds(output, speeds_of_pairs)
+        return
     artefact = load_artefact(selector_file)
     if suite == "papers":
         from crosscomb.training.suites.papers import PAPERS, PaperTable
@@ -419,7 +429,7 @@ def benchmark(
         with terminal.progress("filtering", suites.SIMULATED_LOGS) as advance:
             result = suites.benchmark_simulated(artefact, jobs, advance, beside)
     else:
-        raise UsageError(f"benchmark {suite}: unknown suite: take real, simulated or papers")
+        raise UsageError(f"benchmark {suite}: unknown suite: take real, simulated, papers or speed")
     for note in result.notes:
         terminal.warn(note)
     terminal.show_benchmark(result)

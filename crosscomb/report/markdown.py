@@ -14,6 +14,7 @@ from crosscomb.files import write_text
 if TYPE_CHECKING:
     from crosscomb.training.suites.benchmark import Benchmark
     from crosscomb.training.suites.papers_adaptive import PaperTable
+    from crosscomb.training.suites.speed import Speed
 
 TITLE = "# Results\n\nMeasured with the commands named in each section. Nothing here is typed by hand.\n"
 
@@ -151,3 +152,33 @@ def write_papers(path: Path, tables: Mapping[str, PaperTable]) -> None:
         rows = [[str(i), *map(number, row)] for i, row in zip(table.index, table.to_numpy(), strict=True)]
         lines += [f"### {name}", markdown_table(["", *map(str, table.columns)], rows), paper.verdict]
     write_section(path, "papers", "\n\n".join(lines))
+
+
+SPEED_HEADER = (
+    "estimator", "twin in", "kernel us", "twin us", "ratio", "middle half", "on compiled models", "beta apart deg",
+)  # fmt: skip
+
+
+def speed_rows(speeds: Sequence[Speed]) -> list[list[str]]:
+    """Cells of `SPEED_HEADER` for each kernel and twin."""
+    return [
+        [speed.pair.name, speed.pair.made_of, f"{speed.kernel:.3g}", f"{speed.twin:,.0f}", f"{speed.ratio:,.1f}",
+         f"{speed.low:,.1f} to {speed.high:,.1f}", f"{speed.compiled:,.1f}", f"{speed.apart:.0e}"]
+        for speed in speeds
+    ]  # fmt: skip
+
+
+def write_speeds(path: Path, speeds: Sequence[Speed]) -> None:
+    """Keep the table of kernels and twins in a Markdown file."""
+    lines = [
+        "## Kernels beside their twins on filterpy and numpy",
+        "Made by `crosscomb benchmark speed -o docs/results.md` on the machine of the run: times change from machine "
+        "to machine and with what else runs, ratios less so. Processor time per sample, medians of up to nine repeats "
+        "in which kernel and twin run in turn; the middle half of the repeats' ratios is their scatter. A twin does "
+        "the same work with filterpy's class, or in numpy, and calls the same model functions uncompiled, as its user "
+        "would write them; `on compiled models` is the ratio of the twin that calls them compiled, which leaves "
+        "filterpy's own cost. Particle filters draw other random numbers than their twins, hence the larger "
+        "difference of beta.",
+        markdown_table(SPEED_HEADER, speed_rows(speeds)),
+    ]
+    write_section(path, "speed", "\n\n".join(lines))

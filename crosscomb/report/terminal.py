@@ -12,7 +12,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from crosscomb.report.markdown import WIDE, number, score_rows, summary_rows
+from crosscomb.report.markdown import SPEED_HEADER, WIDE, number, score_rows, speed_rows, summary_rows
 from crosscomb.signals import UNITS, Signals
 
 if TYPE_CHECKING:
@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from crosscomb.training.metrics import Score
     from crosscomb.training.selectors.compare import Comparison
     from crosscomb.training.suites.benchmark import Benchmark
+    from crosscomb.training.suites.speed import Speed
 
 PIPE_WIDTH = 150
 """Columns of a table in a file or a pipe, which has no width of its own."""
@@ -84,6 +85,16 @@ def show_benchmark(result: Benchmark) -> None:
         return
     rows = score_rows(rmse, largest, result.summaries)
     show("Accuracy", ["RMSE / max [deg]", *map(str, rmse.columns)], rows)
+
+
+def show_speeds(speeds: Sequence[Speed]) -> None:
+    """Print how much faster the kernels are than their twins."""
+    show(
+        "Time per sample [us] and how many times as long the twin takes",
+        SPEED_HEADER,
+        speed_rows(speeds),
+        left=2,
+    )
 
 
 def show_table(title: str, table: pd.DataFrame) -> None:
