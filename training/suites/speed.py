@@ -121,19 +121,17 @@ def measure(pair: Pair, inputs: Inputs) -> Speed:
     rows: list[list[float]] = []
     begin = time.perf_counter()
     while len(rows) < LEAST_REPEATS or (len(rows) < MOST_REPEATS and time.perf_counter() - begin < PAIR_TIME):
-        kernel = ours.time()
+        row = [ours.time()]
         with plain_models():
-            plain = theirs.time()
-        rows.append([kernel, plain, compiled.time()])
+            row.append(theirs.time())
+        rows.append([*row, compiled.time()])
     times = np.array(rows)
     ratio, ratio_compiled = times[:, 1] / times[:, 0], times[:, 2] / times[:, 0]
     apart = np.abs(estimator.run(compiled.inputs).beta - answer(compiled.inputs).beta).max()
+    kernel, plain, _ = np.median(times, axis=0).tolist()
+    middle, low, high = np.quantile(ratio, [0.5, 0.25, 0.75]).tolist()
     return Speed(
-        pair,
-        *np.median(times[:, :2], axis=0).tolist(),
-        *np.quantile(ratio, [0.5, 0.25, 0.75]).tolist(),
-        float(np.median(ratio_compiled)),
-        float(np.degrees(apart)),
+        pair, kernel, plain, middle, low, high, float(np.median(ratio_compiled)), float(np.degrees(apart))
     )
 
 
