@@ -73,35 +73,33 @@ class Started(NamedTuple):
     """A filter under way: what `KernelFilter.step` changes from sample to sample."""
 
     dt: float
-    state: Any  # the kernels' state
-    out: np.ndarray  # (3 + extras,)
+    state: Any  # the kernel's state
 
 
 @dataclass(frozen=True)
 class KernelFilter:
     """An algorithm applied to the model of one vehicle. Holds settings only; what changes lives in the state.
 
-    A filter names its two kernels, ``step_kernel(state, sample, car, noise, dt, out)`` and ``run_kernel``, which
-    calls it for each sample: batch and step results are the same bit for bit.
+    A filter names its kernel, ``run_kernel(state, samples, car, noise, dt, out)``, which goes from sample to sample:
+    batch and step results are the same bit for bit.
     """
 
     vehicle: Vehicle
     noise: Any
     tyre: str = "dugoff"
 
-    step_kernel: ClassVar[Callable[..., None]]
     run_kernel: ClassVar[Callable[..., None]]
     choices: ClassVar[dict[str, tuple[str, ...]]] = {"tyre": tuple(TYRE_LAWS)}
     """Words that a setting may take."""
     tables: ClassVar[Mapping[str, Callable[[str, Any], Any]]] = {}
     """Settings that are tables of their own, each with the function that checks it: (where, value) to setting."""
     extras: ClassVar[tuple[str, ...]] = ()
-    """Columns that the kernels write behind `NIS`, each as ``name [unit]``.
+    """Columns that the kernel writes behind `NIS`, each as ``name [unit]``.
 
     Names that begin with `INNOVATION` are innovations: measured minus predicted, NaN where not measured.
     """
     told_by_likelihood: ClassVar[tuple[str, ...]] = ()
-    """Noise settings that the likelihood of the measurements tells; none where the kernels do not keep it."""
+    """Noise settings that the likelihood of the measurements tells; none where the kernel does not keep it."""
 
     @classmethod
     def innovations(cls) -> tuple[str, ...]:
@@ -114,12 +112,12 @@ class KernelFilter:
         return single_track(self.vehicle, self.tyre)
 
     def make_state(self) -> Any:
-        """Make the kernels' state before the first sample."""
+        """Make the kernel's state before the first sample."""
         return gaussian()
 
     def start(self, dt: float) -> Started:
         """Make the state before the first sample, for samples dt [s] apart."""
-        return Started(dt, self.make_state(), np.full(3 + len(self.extras), np.nan))
+        return Started(dt, self.make_state())
 
     def step(self, started: Started, sample: np.ndarray) -> tuple[float, float, float]:
         """Take one sample and change `started`.
@@ -135,12 +133,11 @@ class KernelFilter:
         beta, beta_std : float [rad]
         nis : float
         """
-        self.step_kernel(started.state, sample, self.car, self.noise, started.dt, started.out)
-        beta, beta_std, nis = started.out[:3]
-        return float(beta), float(beta_std), float(nis)
+        estimate = self.advance(started, sample[None])
+        return float(estimate.beta[0]), float(estimate.beta_std[0]), float(estimate.nis[0])
 
     def advance(self, started: Started, samples: np.ndarray) -> Estimate:
-        """Take the next samples ``(n, 17)`` and change `started`; bit-identical to `step` sample by sample."""
+        """Take the next samples ``(n, 17)`` and change `started`; the same bit for bit however they are cut."""
         out = np.full((len(samples), 3 + len(self.extras)), np.nan)
         self.run_kernel(started.state, samples, self.car, self.noise, started.dt, out)
         beta, beta_std, nis, *extra = out.T  # no copy: to touch fresh memory takes a fifth of a kernel's time

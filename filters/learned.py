@@ -208,7 +208,6 @@ class NeuralNetwork(KernelFilter):
     noise: NetworkNoise = NetworkNoise()
     network: Neurons = field(default_factory=partial(shipped_network, "network"))
 
-    step_kernel = staticmethod(network_step)
     run_kernel = staticmethod(network_run)
     tables: ClassVar = {"network": parse_plain_network}
 

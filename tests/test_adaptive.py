@@ -240,7 +240,7 @@ def test_errors_are_as_large_as_the_filter_says(cls: type[RATT]) -> None:
         state.running[0] = 1
         out = np.full(3 + len(estimator.extras), np.nan)
         for k in range(1, steps):
-            estimator.step_kernel(state, samples[k], estimator.car, noise, DT, out)
+            estimator.run_kernel(state, samples[k][None], estimator.car, noise, DT, out[None])
             nis.append(out[at.NIS])
         error = np.concatenate([truth[-1], tyres])[:n] - state.mean[:n]
         nees.append(error @ np.linalg.solve(state.cov, error))
@@ -273,7 +273,7 @@ def matched_runs(
         truth, samples = own_model(estimator, steer, vx, tyres, at_start, shocks)
         samples[:, [at.YAW_RATE, at.AY]] += rng.normal(size=(steps, 2)) * [noise.yaw_rate, noise.ay]
         for k in range(1, steps):
-            estimator.step_kernel(state, samples[k], estimator.car, noise, DT, out)
+            estimator.run_kernel(state, samples[k][None], estimator.car, noise, DT, out[None])
             yield state, truth[k], tyres, k, out[at.NIS]
 
 

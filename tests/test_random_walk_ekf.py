@@ -176,7 +176,7 @@ def test_noiseless_data_of_the_double_tracks_own_model_gives_the_truth() -> None
         r_dot = wheels[:, SIDE_ARM] @ x[3:] / GOLF.yaw_inertia
         x[:3] += DT * np.array([u_dot, v_dot, r_dot])
         sample[:5] = x[0], 0.0, across / GOLF.mass, x[2], steer
-        estimator.step_kernel(state, sample, estimator.car, estimator.noise, DT, out)
+        estimator.run_kernel(state, sample[None], estimator.car, estimator.noise, DT, out[None])
         assert out[at.BETA] == pytest.approx(math.atan2(x[1], x[0]), abs=1e-9)
 
 
@@ -196,7 +196,7 @@ def test_errors_of_the_single_track_are_as_large_as_it_says() -> None:
         state, out = estimator.make_state(), np.full(6, np.nan)
         state.cov[:], state.running[0] = cov, 1
         for k in range(1, steps):
-            estimator.step_kernel(state, samples[k], estimator.car, noise, DT, out)
+            estimator.run_kernel(state, samples[k][None], estimator.car, noise, DT, out[None])
             nis.append(out[at.NIS])
         error = truth[-1] - state.mean
         nees.append(error @ np.linalg.solve(state.cov, error))
@@ -219,7 +219,7 @@ def test_errors_of_the_double_track_are_as_large_as_it_says() -> None:
         state, out = estimator.make_state(), np.full(6, np.nan)
         sample = np.zeros(at.SAMPLE_WIDTH)
         sample[:5] = 20.0, 0.0, 0.0, 0.0, 0.0
-        estimator.step_kernel(state, sample, estimator.car, noise, DT, out)
+        estimator.run_kernel(state, sample[None], estimator.car, noise, DT, out[None])
         state.cov[:] *= 0.01  # or the car spins
         x = x + 0.1 * rng.normal(size=5) * [0.05, 20.0 * out[at.BETA_STD], 0.01, mass, mass]
         for _ in range(steps):
@@ -231,7 +231,7 @@ def test_errors_of_the_double_track_are_as_large_as_it_says() -> None:
             sample[at.VX] = x[0] + 0.05 * rng.normal()
             sample[at.YAW_RATE] = x[2] + 0.01 * rng.normal()
             sample[at.AY] = np.sum(x[3:]) / mass + 0.2 * rng.normal()
-            estimator.step_kernel(state, sample, estimator.car, noise, DT, out)
+            estimator.run_kernel(state, sample[None], estimator.car, noise, DT, out[None])
             nis.append(out[at.NIS])
         error = x - pick @ state.mean
         nees.append(error @ np.linalg.solve(pick @ state.cov @ pick.T, error))

@@ -147,7 +147,6 @@ class FuzzyBlend(_Blend):
 
     noise: FuzzyNoise = FuzzyNoise()
 
-    step_kernel = staticmethod(fuzzy_step)
     run_kernel = staticmethod(fuzzy_run)
     extras = ("steady_state_index [-]",)
 
@@ -158,5 +157,4 @@ class CovarianceFusion(_Blend):
 
     noise: FusionNoise = FusionNoise()
 
-    step_kernel = staticmethod(fusion_step)
     run_kernel = staticmethod(fusion_run)

@@ -97,7 +97,6 @@ class CrossCombinedUKF(KernelFilter):
     tyre: str = "pacejka"
     track: str = "single"
 
-    step_kernel = staticmethod(cross_step)
     run_kernel = staticmethod(cross_run)
     choices = {"tyre": ("pacejka",), "track": TRACKS}  # noqa: RUF012
     extras = ("kinematic_share [-]",)

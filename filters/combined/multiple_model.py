@@ -157,7 +157,6 @@ class _Bank(KernelFilter):
 class IMM(_Bank):
     """Interacting multiple models: single track on two frictions and the kinematic model."""
 
-    step_kernel = staticmethod(imm_step)
     run_kernel = staticmethod(imm_run)
 
 
@@ -165,5 +164,4 @@ class IMM(_Bank):
 class MMAE(_Bank):
     """Multiple-model adaptive estimation: single track on two frictions and the kinematic model."""
 
-    step_kernel = staticmethod(mmae_step)
     run_kernel = staticmethod(mmae_run)

@@ -218,7 +218,6 @@ class GnssKinematicKF(KernelFilter):
 
     noise: GnssKinematicNoise = GnssKinematicNoise()
 
-    step_kernel = staticmethod(gnss_kinematic_step)
     run_kernel = staticmethod(gnss_kinematic_run)
 
     def make_state(self) -> Any:

@@ -326,17 +326,11 @@ def kinematic_step(state, sample, car, noise, dt, out):
     return innovation_vx, innovation_vy
 
 
-@inlined
-def telling_kinematic_step(state, sample, car, noise, dt, out):
-    """One sample of the kinematic filter; `out` ``(5,)`` gets the innovations too, as in `KinematicKF.extras`."""
-    out[at.NIS + 1], out[at.NIS + 2] = kinematic_step(state, sample, car, noise, dt, out)
-
-
 @kernel
 def kinematic_run(state, samples, car, noise, dt, out):
-    """All samples of the kinematic filter."""
+    """All samples; `out` ``(n, 5)`` gets the innovations too, as in `KinematicKF.extras`."""
     for k in range(samples.shape[0]):
-        telling_kinematic_step(state, samples[k], car, noise, dt, out[k])
+        out[k, at.NIS + 1], out[k, at.NIS + 2] = kinematic_step(state, samples[k], car, noise, dt, out[k])
 
 
 @dataclass(frozen=True)
@@ -347,7 +341,6 @@ class KinematicKF(KernelFilter):
 
     extras = ("innovation_vx [m/s]", "innovation_vy [m/s]")
     told_by_likelihood = ("accel", "speed", "accel_bias")
-    step_kernel = staticmethod(telling_kinematic_step)
     run_kernel = staticmethod(kinematic_run)
 
     def make_state(self) -> Gaussian:

@@ -172,7 +172,6 @@ class ZeroYawKF(KernelFilter):
 
     noise: ZeroYawNoise = ZeroYawNoise()
 
-    step_kernel = staticmethod(zero_yaw_step)
     run_kernel = staticmethod(zero_yaw_run)
 
     def make_state(self) -> Gaussian:
@@ -187,7 +186,6 @@ class BlendKF(KernelFilter):
     noise: BlendNoise = BlendNoise()
 
     told_by_likelihood = ("accel", "speed", "accel_bias")
-    step_kernel = staticmethod(blend_step)
     run_kernel = staticmethod(blend_run)
 
     def make_state(self) -> Gaussian:

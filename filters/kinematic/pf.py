@@ -152,7 +152,6 @@ class KinematicPF(KernelFilter):
     seed: int = 0
 
     choices: ClassVar = {**KernelFilter.choices, "resampling": tuple(RESAMPLING)}
-    step_kernel = staticmethod(kinematic_particle_step)
     run_kernel = staticmethod(kinematic_particle_run)
 
     def make_state(self) -> Any:

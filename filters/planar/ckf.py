@@ -215,7 +215,6 @@ def cubature_run(state, samples, car, noise, dt, out):
 class SqrtCubatureKF(PlanarFilter):
     """Square-root cubature Kalman filter (Chindamo 2018, section 2.2)."""
 
-    step_kernel = staticmethod(cubature_step)
     run_kernel = staticmethod(cubature_run)
 
     def make_state(self) -> CubatureState:
@@ -274,7 +273,6 @@ class CubatureRecedingHorizonKF(PlanarFilter):
 
     horizon: float = 0.3
 
-    step_kernel = staticmethod(horizon_step)
     run_kernel = staticmethod(horizon_run)
 
     def make_state(self) -> HorizonState:
@@ -328,7 +326,6 @@ class CubatureHybridKF(CubatureRecedingHorizonKF):
 
     memory: float = 0.5
 
-    step_kernel = staticmethod(hybrid_step)
     run_kernel = staticmethod(hybrid_run)
 
     def make_state(self) -> HybridState:  # type: ignore[override]

@@ -171,7 +171,6 @@ def planar_ekf_run(state, samples, car, noise, dt, out):
 class FirstOrderEKF(PlanarFilter):
     """First-order extended Kalman filter on the planar model (D'Inverno 2021, algorithm 1)."""
 
-    step_kernel = staticmethod(planar_ekf_step)
     run_kernel = staticmethod(planar_ekf_run)
 
     def make_state(self) -> PlanarEKFState:

@@ -163,7 +163,6 @@ def second_order_run(state, samples, car, noise, dt, out):
 class SecondOrderEKF(PlanarFilter):
     """Second-order extended Kalman filter on the planar model (D'Inverno 2021, algorithm 3, corrected)."""
 
-    step_kernel = staticmethod(second_order_step)
     run_kernel = staticmethod(second_order_run)
 
     def make_state(self) -> SecondOrderState:

@@ -216,7 +216,6 @@ def sigma_point_run(state, samples, car, noise, dt, out):
 class SimpleUKF(PlanarFilter):
     """Simple unscented Kalman filter (D'Inverno 2021, algorithm 4, corrected)."""
 
-    step_kernel = staticmethod(sigma_point_step)
     run_kernel = staticmethod(sigma_point_run)
 
     def sigma_points(self) -> SigmaPoints:

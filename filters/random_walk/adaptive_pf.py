@@ -121,7 +121,6 @@ class AdaptivePF(KernelFilter):
 
     choices: ClassVar = {**KernelFilter.choices, "resampling": tuple(RESAMPLING)}
     extras = ("particles [1]",)
-    step_kernel = staticmethod(adaptive_step)
     run_kernel = staticmethod(adaptive_run)
 
     def __post_init__(self) -> None:

@@ -280,7 +280,6 @@ class DoubleTrackRandomWalkEKF(KernelFilter):
     yaw_moment: str = "free"
     measured: str = "u_r_ay"
 
-    step_kernel = staticmethod(double_walk_step)
     run_kernel = staticmethod(double_walk_run)
     choices: ClassVar[dict[str, tuple[str, ...]]] = {
         "tyre": ("linear",),

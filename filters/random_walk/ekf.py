@@ -221,7 +221,6 @@ class RandomWalkEKF(KernelFilter):
     tyre: str = "linear"
     slip_from: str = "linear"
 
-    step_kernel = staticmethod(walk_step)
     run_kernel = staticmethod(walk_run)
     choices: ClassVar[dict[str, tuple[str, ...]]] = {"tyre": ("linear",), "slip_from": tuple(SLIP_SOURCES)}
     extras: ClassVar[tuple[str, ...]] = FORCE_EXTRAS

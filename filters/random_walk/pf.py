@@ -220,7 +220,6 @@ class RandomWalkPF(KernelFilter):
     choices: ClassVar = {**KernelFilter.choices, "resampling": tuple(RESAMPLING)}
     # Not the EKF's, nor how far it is trusted: its beta is no measurement of the car.
     told_by_likelihood = ("force", "yaw_acceleration", "slip_rate", "yaw_rate", "accel")
-    step_kernel = staticmethod(particle_step)
     run_kernel = staticmethod(particle_run)
 
     def make_state(self) -> Any:

@@ -277,7 +277,6 @@ class RaoBlackwellPF(KernelFilter):
 
     choices: ClassVar = {**KernelFilter.choices, "resampling": tuple(RESAMPLING)}
     extras = ("fyf [N]", "fyr [N]")
-    step_kernel = staticmethod(blackwell_step)
     run_kernel = staticmethod(blackwell_run)
 
     def make_state(self) -> Any:

@@ -223,7 +223,6 @@ class DualEKF(KernelFilter):
     tyre: str = "rational"
 
     told_by_likelihood = ("yaw_acceleration", "slip_rate", "yaw_rate", "ay")
-    step_kernel = staticmethod(dual_step)
     run_kernel = staticmethod(dual_run)
     choices: ClassVar[dict[str, tuple[str, ...]]] = {"tyre": ("rational",)}
     extras: ClassVar[tuple[str, ...]] = RATTE.extras

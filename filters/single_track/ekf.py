@@ -97,17 +97,11 @@ def dynamic_step(state, sample, car, noise, dt, out):
     return innovation_yaw_rate, innovation_ay
 
 
-@inlined
-def telling_dynamic_step(state, sample, car, noise, dt, out):
-    """One sample of the dynamic filter; `out` ``(5,)`` gets the innovations too, as in `DynamicEKF.extras`."""
-    out[at.NIS + 1], out[at.NIS + 2] = dynamic_step(state, sample, car, noise, dt, out)
-
-
 @kernel
 def dynamic_run(state, samples, car, noise, dt, out):
-    """All samples of the dynamic filter."""
+    """All samples; `out` ``(n, 5)`` gets the innovations too, as in `DynamicEKF.extras`."""
     for k in range(samples.shape[0]):
-        telling_dynamic_step(state, samples[k], car, noise, dt, out[k])
+        out[k, at.NIS + 1], out[k, at.NIS + 2] = dynamic_step(state, samples[k], car, noise, dt, out[k])
 
 
 @dataclass(frozen=True)
@@ -118,5 +112,4 @@ class DynamicEKF(KernelFilter):
 
     extras = ("innovation_yaw_rate [rad/s]", "innovation_ay [m/s^2]")
     told_by_likelihood = ("yaw_acceleration", "slip_rate", "yaw_rate", "ay")
-    step_kernel = staticmethod(telling_dynamic_step)
     run_kernel = staticmethod(dynamic_run)

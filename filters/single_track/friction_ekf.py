@@ -152,7 +152,6 @@ class FrictionAdaptiveEKF(KernelFilter):
 
     noise: FrictionNoise = FrictionNoise()
 
-    step_kernel = staticmethod(friction_step)
     run_kernel = staticmethod(friction_run)
     choices: ClassVar[dict[str, tuple[str, ...]]] = {"tyre": ("dugoff",)}
     extras: ClassVar[tuple[str, ...]] = ("friction [-]",)

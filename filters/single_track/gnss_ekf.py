@@ -142,7 +142,6 @@ class GnssDynamicObserver(KernelFilter):
 
     noise: GnssDynamicNoise = GnssDynamicNoise()
 
-    step_kernel = staticmethod(gnss_dynamic_step)
     run_kernel = staticmethod(gnss_dynamic_run)
 
     def make_state(self) -> Any:

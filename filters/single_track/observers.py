@@ -164,7 +164,7 @@ def luenberger_step(state, sample, car, settings, dt, out):
 
 @inlined
 def nonlinear_step(state, sample, car, settings, layers, dt, out):
-    """One sample of an observer on the nonlinear single track; boundary layers (2,) of its innovations."""
+    """One sample on the nonlinear single track; boundary layers (2,) of the innovations; `out` as the linear one."""
     if observer_start(state, sample, car, out):
         return
     mean = state.mean
@@ -178,18 +178,6 @@ def nonlinear_step(state, sample, car, settings, layers, dt, out):
     observer_answer(state, sample, ay, car, settings, dt, out)
 
 
-@inlined
-def extended_step(state, sample, car, settings, dt, out):
-    """One sample of the extended observer; `out` ``(3,)`` gets beta, its stated error and NaN."""
-    nonlinear_step(state, sample, car, settings, NO_LAYERS, dt, out)
-
-
-@inlined
-def sliding_step(state, sample, car, settings, dt, out):
-    """One sample of the sliding-mode observer; `out` ``(3,)`` gets beta, its stated error and NaN."""
-    nonlinear_step(state, sample, car, settings, (settings.yaw_layer, settings.ay_layer), dt, out)
-
-
 @kernel
 def luenberger_run(state, samples, car, settings, dt, out):
     """All samples of the linear observer."""
@@ -201,14 +189,15 @@ def luenberger_run(state, samples, car, settings, dt, out):
 def extended_run(state, samples, car, settings, dt, out):
     """All samples of the extended observer."""
     for k in range(samples.shape[0]):
-        extended_step(state, samples[k], car, settings, dt, out[k])
+        nonlinear_step(state, samples[k], car, settings, NO_LAYERS, dt, out[k])
 
 
 @kernel
 def sliding_run(state, samples, car, settings, dt, out):
     """All samples of the sliding-mode observer."""
+    layers = settings.yaw_layer, settings.ay_layer
     for k in range(samples.shape[0]):
-        sliding_step(state, samples[k], car, settings, dt, out[k])
+        nonlinear_step(state, samples[k], car, settings, layers, dt, out[k])
 
 
 def _observer() -> Observer:
@@ -221,7 +210,6 @@ class Luenberger(KernelFilter):
 
     noise: ObserverGains = ObserverGains()
 
-    step_kernel = staticmethod(luenberger_step)
     run_kernel = staticmethod(luenberger_run)
 
     def make_state(self) -> Any:
@@ -235,7 +223,6 @@ class ExtendedLuenberger(KernelFilter):
 
     noise: ObserverGains = ObserverGains()
 
-    step_kernel = staticmethod(extended_step)
     run_kernel = staticmethod(extended_run)
 
     def make_state(self) -> Any:
@@ -249,7 +236,6 @@ class SlidingMode(KernelFilter):
 
     noise: SlidingGains = SlidingGains()
 
-    step_kernel = staticmethod(sliding_step)
     run_kernel = staticmethod(sliding_run)
 
     def make_state(self) -> Any:

@@ -123,7 +123,6 @@ class DynamicPF(KernelFilter):
     seed: int = 0
 
     choices: ClassVar = {**KernelFilter.choices, "resampling": tuple(RESAMPLING)}
-    step_kernel = staticmethod(dynamic_particle_step)
     run_kernel = staticmethod(dynamic_particle_run)
 
     def make_state(self) -> Any:

@@ -225,7 +225,6 @@ class RATT(KernelFilter):
     noise: TyreNoise = TyreNoise()
     tyre: str = "rational"
 
-    step_kernel = staticmethod(tyre_step)
     run_kernel = staticmethod(tyre_run)
     choices: ClassVar[dict[str, tuple[str, ...]]] = {"tyre": ("rational",)}
 
