@@ -26,9 +26,9 @@ def example(tmp_path, monkeypatch):
     """Make the module of the example, and put its line into the catalogue."""
     file = tmp_path / "steady_state.py"
     file.write_text(BLOCKS[0], encoding="utf-8")
-    spec = importlib.util.spec_from_file_location("crosscomb.filters.steady_state", file)
+    spec = importlib.util.spec_from_file_location("crosscomb.filters.single_track.steady_state", file)
     module = importlib.util.module_from_spec(spec)
-    monkeypatch.setitem(sys.modules, "crosscomb.filters.steady_state", module)
+    monkeypatch.setitem(sys.modules, "crosscomb.filters.single_track.steady_state", module)
     spec.loader.exec_module(module)
     line = BLOCKS[1].strip().rstrip(",")
     entry = eval("{" + line + "}", {"Entry": catalogue.Entry})

@@ -17,7 +17,7 @@ from crosscomb.filters.kinematic.kf_variants import (
     ZeroYawKF,
     straight_share,
 )
-from crosscomb.filters.twins.basic import _walk
+from crosscomb.filters.twins.shared import walk_samples
 from crosscomb.filters.twins.table import TWINS
 from crosscomb.models.kinematic import input_gain, rotation, slip_of_rolling_rear
 from crosscomb.models.single_track import single_track_rates, stable_substeps
@@ -94,7 +94,7 @@ def textbook_blend(noise: BlendNoise, inputs: Inputs) -> Estimate:
         gradient = np.array([-x[1], x[0]]) / (x[:2] @ x[:2])
         return np.arctan2(x[1], x[0]), np.sqrt(gradient @ p[:2, :2] @ gradient), innovation**2 / s
 
-    return _walk(inputs, CAR, start, step)
+    return walk_samples(inputs, CAR, start, step)
 
 
 STEPS = 1e-4 * np.eye(4)

@@ -6,11 +6,9 @@ All measurements of a sample update at once here, one after the other in the ker
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from filterpy.kalman import ExtendedKalmanFilter
 
 from crosscomb.filters import base
 from crosscomb.filters import columns as at
@@ -19,18 +17,13 @@ from crosscomb.filters.single_track.adaptation import Limits, excited, growth
 from crosscomb.filters.single_track.dual_ekf import DualEKF
 from crosscomb.filters.single_track.friction_ekf import FrictionAdaptiveEKF, friction_bounds
 from crosscomb.filters.single_track.tyre_ekf import FIRST_RATES_STD, RATES, RATT, hold_rates
+from crosscomb.filters.twins.shared import GivenPrediction, nis_of, walk_samples
 from crosscomb.models.parameter_track import SLOPES_SHAPE, lateral_acceleration, parameter_track_rates
-from crosscomb.models.single_track import SingleTrack, stable_substeps
+from crosscomb.models.single_track import stable_substeps
 
 
-class PlainEKF(ExtendedKalmanFilter):
-    """filterpy's filter with a nonlinear prediction: `predict(u)` takes the predicted state itself."""
-
-    x: np.ndarray
-    P: np.ndarray
-
-    def predict_x(self, u: np.ndarray) -> None:
-        self.x = u
+class PlainEKF(GivenPrediction):
+    """filterpy's filter with updates that leave out what is missing."""
 
     def measure(
         self,
@@ -47,7 +40,7 @@ class PlainEKF(ExtendedKalmanFilter):
         rows, r = h[there], np.diag(variance[there])
         if free is None:
             self.update(z[there], lambda _: rows, lambda _: expected[there], R=r)
-            return float(self.y.ravel() @ self.SI @ self.y.ravel())
+            return nis_of(self)
         # One after the other: with states left alone the order matters.
         nis, prior, left_alone = 0.0, self.x, np.arange(len(self.x)) >= free
         for row, innovation, noise in zip(rows, (z - expected)[there], variance[there], strict=True):
@@ -59,25 +52,6 @@ class PlainEKF(ExtendedKalmanFilter):
             self.P = left @ self.P @ left.T + noise * np.outer(gain, gain)
             nis += y * y / s
         return float(nis)
-
-
-def walk_samples(
-    inputs: Inputs,
-    car: SingleTrack,
-    start: Callable[[np.ndarray, float, float], None],
-    step: Callable[[np.ndarray], tuple[float, float, float]],
-) -> Estimate:
-    """Give the rolling answer until a sample above the gate starts the filter, then the filter's own."""
-    out, running = np.empty((len(inputs.samples), 3)), False
-    for sample, answer in zip(inputs.samples, out, strict=True):
-        if running and not base.below_gate(sample):
-            answer[:] = step(sample)
-            continue
-        base.low_speed_answer(sample, car, answer)
-        running = not base.below_gate(sample)
-        if running:
-            start(sample, answer[at.BETA], answer[at.BETA_STD])
-    return Estimate(beta=out[:, 0], beta_std=out[:, 1], nis=out[:, 2])
 
 
 def _track(sample: np.ndarray, motion: np.ndarray, parameters: np.ndarray, car: Any) -> tuple:

@@ -14,7 +14,8 @@ from crosscomb.filters.base import MAX_BETA, Estimate, Inputs
 from crosscomb.filters.kinematic.gnss_kf import UNKNOWN_HEADING, GnssKinematicKF
 from crosscomb.filters.kinematic.kf_variants import LEAST_SHARE, ZeroYawKF
 from crosscomb.filters.single_track.gnss_ekf import GnssDynamicObserver
-from crosscomb.filters.twins.basic import BiasedKalman, _nis, _SingleTrackEKF, _walk, slip_of
+from crosscomb.filters.twins.basic import BiasedKalman, slip_of
+from crosscomb.filters.twins.shared import GivenPrediction, nis_of, walk_samples
 from crosscomb.models.kinematic import input_gain, rotation
 from crosscomb.models.single_track import single_track_rates, stable_substeps
 
@@ -47,7 +48,7 @@ def twin_zero_yaw_kf(estimator: ZeroYawKF, inputs: Inputs) -> Estimate:
         kf.limit_biases()
         return *slip_of(kf), nis
 
-    return _walk(inputs, car, kf.begin, step, kf.rest)
+    return walk_samples(inputs, car, kf.begin, step, kf.rest)
 
 
 def twin_gnss_kinematic_kf(estimator: GnssKinematicKF, inputs: Inputs) -> Estimate:
@@ -60,7 +61,7 @@ def twin_gnss_kinematic_kf(estimator: GnssKinematicKF, inputs: Inputs) -> Estima
         GNSS columns may be NaN, the others not.
     """
     noise, dt = estimator.noise, inputs.dt
-    ekf = _SingleTrackEKF(dim_x=7, dim_z=1)
+    ekf = GivenPrediction(dim_x=7, dim_z=1)
     keep = math.exp(-dt / noise.bias_time)
     sizes = np.array([noise.gyro_bias, noise.accel_bias, noise.accel_bias, noise.scale])
     age = [noise.outage]
@@ -93,7 +94,7 @@ def twin_gnss_kinematic_kf(estimator: GnssKinematicKF, inputs: Inputs) -> Estima
             return 0.0
         h = np.array([row])
         ekf.update(np.array([innovation]), lambda _: h, lambda _: np.zeros(1), R=np.array([[variance]]))
-        return _nis(ekf)
+        return nis_of(ekf)
 
     def step(sample: np.ndarray) -> tuple[float, float, float]:
         predict(sample)
@@ -115,7 +116,7 @@ def twin_gnss_kinematic_kf(estimator: GnssKinematicKF, inputs: Inputs) -> Estima
         ekf.x[3:] = np.clip(ekf.x[3:], -6.0 * sizes, 6.0 * sizes)
         return *slip_of(ekf), nis
 
-    return _walk(inputs, estimator.car, start, step)
+    return walk_samples(inputs, estimator.car, start, step)
 
 
 def twin_gnss_dynamic_observer(estimator: GnssDynamicObserver, inputs: Inputs) -> Estimate:
@@ -128,7 +129,7 @@ def twin_gnss_dynamic_observer(estimator: GnssDynamicObserver, inputs: Inputs) -
         GNSS columns may be NaN, the others not.
     """
     noise, car = estimator.noise, estimator.car
-    ekf = _SingleTrackEKF(dim_x=3, dim_z=3)
+    ekf = GivenPrediction(dim_x=3, dim_z=3)
 
     def model(sample: np.ndarray) -> tuple[np.ndarray, float, np.ndarray]:
         """Rates (2,), expected ay and the Jacobian (4, 2) of the rates, ax and ay at the filter's state."""
@@ -167,6 +168,6 @@ def twin_gnss_dynamic_observer(estimator: GnssDynamicObserver, inputs: Inputs) -
         variance = np.diag([noise.yaw_rate**2, noise.ay**2, fix])[:rows, :rows]
         ekf.update(innovation, lambda _: h_matrix, lambda _: np.zeros(rows), R=variance)
         ekf.x[1] = min(max(ekf.x[1], -MAX_BETA), MAX_BETA)
-        return ekf.x[1], math.sqrt(ekf.P[1, 1]), _nis(ekf)
+        return ekf.x[1], math.sqrt(ekf.P[1, 1]), nis_of(ekf)
 
-    return _walk(inputs, car, start, step)
+    return walk_samples(inputs, car, start, step)

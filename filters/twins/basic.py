@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -20,8 +19,9 @@ from crosscomb.filters.kinematic.kf import (
     rolling_measurement,
 )
 from crosscomb.filters.single_track.ekf import DynamicEKF
+from crosscomb.filters.twins.shared import GivenPrediction, nis_of, walk_samples
 from crosscomb.models.kinematic import input_gain, rotation
-from crosscomb.models.single_track import SingleTrack, single_track_rates, stable_substeps
+from crosscomb.models.single_track import single_track_rates, stable_substeps
 from crosscomb.signals import MIN_SPEED
 
 
@@ -65,7 +65,7 @@ class BiasedKalman(KalmanFilter):
     def measure(self, row: list[float], value: float, variance: float) -> float:
         """Update with a measurement of vx and vy; give its NIS."""
         self.update(value, R=np.array([[variance]]), H=np.array([[*row, 0.0, 0.0]]))
-        return _nis(self)
+        return nis_of(self)
 
     def measure_speed(self, sample: np.ndarray) -> float:
         """Update with vx, where it is there; give its NIS."""
@@ -119,14 +119,7 @@ def twin_kinematic_kf(estimator: KinematicKF, inputs: Inputs) -> Estimate:
         kf.limit_biases()
         return *slip_of(kf), nis, *innovations
 
-    return _walk(inputs, car, kf.begin, step, kf.rest, estimator.extras)
-
-
-class _SingleTrackEKF(ExtendedKalmanFilter):
-    """filterpy's filter with a nonlinear prediction: `predict(u)` takes the predicted state itself."""
-
-    def predict_x(self, u: np.ndarray) -> None:
-        self.x = u
+    return walk_samples(inputs, car, kf.begin, step, kf.rest, estimator.extras)
 
 
 def twin_dynamic_ekf(estimator: DynamicEKF, inputs: Inputs) -> Estimate:
@@ -141,7 +134,7 @@ def twin_dynamic_ekf(estimator: DynamicEKF, inputs: Inputs) -> Estimate:
     """
     noise, car = estimator.noise, estimator.car
     density = np.diag([noise.yaw_acceleration**2, noise.slip_rate**2])
-    ekf = _SingleTrackEKF(dim_x=2, dim_z=2)
+    ekf = GivenPrediction(dim_x=2, dim_z=2)
 
     def model(sample: np.ndarray) -> tuple[np.ndarray, float, np.ndarray]:
         """Rates (2,), expected ay and the Jacobian (4, 2) of the rates, ax and ay at the filter's state."""
@@ -184,38 +177,6 @@ def twin_dynamic_ekf(estimator: DynamicEKF, inputs: Inputs) -> Estimate:
         ekf.update(z[there], lambda _: h_matrix, lambda _: expected, R=variance)
         innovations[there] = ekf.y
         hold_beta()
-        return ekf.x[1], math.sqrt(ekf.P[1, 1]), _nis(ekf), *innovations
+        return ekf.x[1], math.sqrt(ekf.P[1, 1]), nis_of(ekf), *innovations
 
-    return _walk(inputs, car, start, step, extras=estimator.extras)
-
-
-def _walk(
-    inputs: Inputs,
-    car: SingleTrack,
-    start: Callable[[np.ndarray, float, float], None],
-    step: Callable[[np.ndarray], tuple[float, ...]],
-    rest: Callable[[], None] = lambda: None,
-    extras: tuple[str, ...] = (),
-) -> Estimate:
-    """Give the rolling answer until a sample above the gate starts the filter, then the filter's own.
-
-    `rest` is called at each sample that gets the rolling answer; `extras` names what a step gives behind the NIS.
-    """
-    out = np.full((len(inputs.samples), 3 + len(extras)), np.nan)
-    running = False
-    for sample, answer in zip(inputs.samples, out, strict=True):
-        if running and not base.below_gate(sample):
-            answer[:] = step(sample)
-            continue
-        base.low_speed_answer(sample, car, answer)
-        rest()
-        running = not base.below_gate(sample)
-        if running:
-            start(sample, answer[at.BETA], answer[at.BETA_STD])
-    beta, beta_std, nis, *extra = out.T
-    return Estimate(beta, beta_std, nis, dict(zip(extras, extra, strict=True)))
-
-
-def _nis(kf: KalmanFilter | ExtendedKalmanFilter) -> float:
-    innovation = kf.y.ravel()
-    return float(innovation @ kf.SI @ innovation)
+    return walk_samples(inputs, car, start, step, extras=estimator.extras)

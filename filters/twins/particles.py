@@ -15,7 +15,8 @@ from crosscomb.filters import columns as at
 from crosscomb.filters.base import Estimate, Inputs
 from crosscomb.filters.random_walk.pf import FAR_OFF, FIRST_SPREAD, MOST_DOUBT, RandomWalkPF
 from crosscomb.filters.single_track.ekf import DynamicEKF
-from crosscomb.filters.twins.basic import _walk, twin_dynamic_ekf
+from crosscomb.filters.twins.basic import twin_dynamic_ekf
+from crosscomb.filters.twins.shared import walk_samples
 from crosscomb.models.single_track import body_rates
 
 array_rates = body_rates.py_func
@@ -105,4 +106,4 @@ def _particle_filter(estimator: RandomWalkPF, inputs: Inputs, ekf: Estimate, res
             log_weights[:] = 0.0
         return beta, beta_std, np.nan
 
-    return _walk(inputs, car, start, step)
+    return walk_samples(inputs, car, start, step)

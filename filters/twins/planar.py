@@ -11,7 +11,7 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from filterpy.kalman import CubatureKalmanFilter, ExtendedKalmanFilter, UnscentedKalmanFilter
+from filterpy.kalman import CubatureKalmanFilter, UnscentedKalmanFilter
 from filterpy.kalman.CubatureKalmanFilter import spherical_radial_sigmas
 
 from crosscomb.filters import base
@@ -32,7 +32,7 @@ from crosscomb.filters.planar.shared import (
     substeps,
 )
 from crosscomb.filters.planar.ukf import SigmaPoints, SimpleUKF
-from crosscomb.filters.twins.basic import _walk
+from crosscomb.filters.twins.shared import GivenPrediction, nis_of, walk_samples
 from crosscomb.models.planar import contacts, planar_hessian, planar_jacobian, planar_rates
 
 Belief = tuple[np.ndarray, np.ndarray]  # mean (3,) and covariance (3, 3)
@@ -95,7 +95,7 @@ class _Model:
 
 def twin_first_order_ekf(estimator: FirstOrderEKF, inputs: Inputs) -> Estimate:
     """Estimate a log as `FirstOrderEKF.run` does, with filterpy's ExtendedKalmanFilter."""
-    ekf = _GivenPrediction(dim_x=3, dim_z=6)
+    ekf = GivenPrediction(dim_x=3, dim_z=6)
 
     def predict(model: _Model, x: np.ndarray, p: np.ndarray) -> Belief:
         ekf.x, ekf.P = x, p
@@ -111,16 +111,9 @@ def twin_first_order_ekf(estimator: FirstOrderEKF, inputs: Inputs) -> Estimate:
         if not len(model.z):
             return x, p, math.nan
         ekf.update(model.z, model.rows, model.expected, R=model.r)
-        return ekf.x, ekf.P, float(ekf.y @ ekf.SI @ ekf.y)
+        return ekf.x, ekf.P, nis_of(ekf)
 
     return _run(estimator, inputs, predict, update)
-
-
-class _GivenPrediction(ExtendedKalmanFilter):
-    """filterpy's filter with a nonlinear prediction: `predict(u)` takes the predicted state itself."""
-
-    def predict_x(self, u: np.ndarray) -> None:
-        self.x = u
 
 
 def twin_iterated_ekf(estimator: IteratedEKF, inputs: Inputs) -> Estimate:
@@ -215,7 +208,7 @@ def twin_ukf(estimator: SimpleUKF, inputs: Inputs) -> Estimate:
         if not len(model.z):
             return x, p, math.nan
         ukf.update(model.z, R=model.r, hx=model.expected)
-        return _clipped(ukf.x), ukf.P, float(ukf.y @ ukf.SI @ ukf.y)
+        return _clipped(ukf.x), ukf.P, nis_of(ukf)
 
     return _run(estimator, inputs, predict, update)
 
@@ -270,8 +263,7 @@ def _cubature(dt: float) -> tuple[Predict, Update]:
         ckf.sigmas_h = np.zeros((len(ckf.sigmas_f), len(model.z)))
         ckf.hx = model.expected
         ckf.update(model.z[:, None], R=model.r)
-        innovation = ckf.y.ravel()
-        return _clipped(ckf.x.ravel()), ckf.P, float(innovation @ ckf.SI @ innovation)
+        return _clipped(ckf.x.ravel()), ckf.P, nis_of(ckf)
 
     return predict, update
 
@@ -304,5 +296,5 @@ def _run(estimator: PlanarFilter, inputs: Inputs, predict: Predict, update: Upda
         x = _clipped(x)
         return *_beta(x, p), nis
 
-    car: Any = estimator.car  # has the wheelbase that `_walk` needs
-    return _walk(inputs, car, begin, step)
+    car: Any = estimator.car  # has the wheelbase that `walk_samples` needs
+    return walk_samples(inputs, car, begin, step)

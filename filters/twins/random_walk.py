@@ -11,7 +11,8 @@ from crosscomb.filters import columns as at
 from crosscomb.filters.base import Estimate, Inputs
 from crosscomb.filters.random_walk.double_track_ekf import DoubleTrackRandomWalkEKF
 from crosscomb.filters.random_walk.ekf import RandomWalkEKF, friction_use
-from crosscomb.filters.twins.adaptive import PlainEKF, walk_samples
+from crosscomb.filters.twins.adaptive import PlainEKF
+from crosscomb.filters.twins.shared import walk_samples
 from crosscomb.models.planar import COS, PEAK, SIDE_ARM, SIN, contacts, set_contacts
 from crosscomb.models.random_walk import random_walk_jacobian, random_walk_rates
 from crosscomb.signals import MIN_SPEED
