@@ -9,6 +9,7 @@ from __future__ import annotations
 from math import pi
 from typing import NamedTuple
 
+from crosscomb.models.linear_single_track import understeer_gradient
 from crosscomb.models.tyres_combined import CombinedTyre
 from crosscomb.models.vehicle import Vehicle
 from crosscomb.signals import GRAVITY
@@ -163,7 +164,7 @@ def understeer(p: PlantParameters) -> float:
         2.0 * tyre.stiffness / (1.0 + 2.0 * compliance * tyre.stiffness)
         for tyre, compliance in ((p.tyre_front, p.compliance_front), (p.tyre_rear, p.compliance_rear))
     )
-    gradient = p.mass / (p.front + p.rear) * (p.rear / front - p.front / rear)
+    gradient = understeer_gradient(p.mass, p.front, p.rear, front, rear)
     return gradient + p.roll_steer_front + p.roll_steer_rear
 
 

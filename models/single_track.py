@@ -11,6 +11,7 @@ import math
 from typing import NamedTuple
 
 from crosscomb.models.compiled import inlined
+from crosscomb.models.linear_single_track import yaw_damping
 from crosscomb.models.tyres import TYRE_LAWS, axle_tyre, lateral_capacity
 from crosscomb.models.vehicle import Vehicle
 from crosscomb.signals import GRAVITY
@@ -252,5 +253,5 @@ def stable_substeps(vx, dt, car):
     The eigenvalues of the linear single track are bounded by the sum of its two damping terms (eq. 26, 27).
     """
     lateral = (car.stiffness_front + car.stiffness_rear) / car.mass
-    yaw = (car.a**2 * car.stiffness_front + car.b**2 * car.stiffness_rear) / car.yaw_inertia
+    yaw = yaw_damping(car) / car.yaw_inertia
     return 1 + int(dt * (lateral + yaw) / vx)

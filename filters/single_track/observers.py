@@ -34,7 +34,7 @@ from crosscomb.filters import columns as at
 from crosscomb.filters.base import KernelFilter, bounded_slip, starting
 from crosscomb.filters.single_track.shared import rates_at, start_motion, wrong_front_force
 from crosscomb.models.compiled import inlined, kernel
-from crosscomb.models.linear_single_track import linear_single_track_rates
+from crosscomb.models.linear_single_track import linear_single_track_rates, yaw_damping
 from crosscomb.models.single_track import stable_substeps
 
 MAX_YAW_RATE = 3.0
@@ -79,10 +79,9 @@ class Observer(NamedTuple):
 @inlined
 def gains(a11, a21, c21, beta, vx, car, settings):
     """Gains l11, l21, l22 [1/s, 1/s, rad s/m] that place the poles; l12 is 0."""
-    damping = car.a * car.a * car.stiffness_front + car.b * car.b * car.stiffness_rear
     cosine = math.cos(beta)
     l22 = (1.0 - min(settings.slip_pole, 1.0)) * cosine * cosine / vx
-    return a11 + settings.yaw_pole * damping / (car.yaw_inertia * vx), a21 - l22 * c21, l22
+    return a11 + settings.yaw_pole * yaw_damping(car) / (car.yaw_inertia * vx), a21 - l22 * c21, l22
 
 
 @inlined

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from crosscomb.models.linear_single_track import understeer_gradient
 from crosscomb.models.plant import PlantParameters, make_plant
 from crosscomb.models.tyres_combined import FIRM_GROUND
 from crosscomb.models.vehicle import Vehicle
@@ -168,20 +169,15 @@ class Belief:
     std: float
 
 
-def understeer_gradient(vehicle: Vehicle) -> Callable[[dict[str, float]], float]:
-    """Understeer gradient [rad per m/s^2] as a function of the parameters of a fit."""
-
-    def gradient(car: dict[str, float]) -> float:
-        front, rear = car["cornering_stiffness_front"], car["cornering_stiffness_rear"]
-        b = car["cg_to_rear_axle"]
-        return vehicle.mass / vehicle.wheelbase * (b / front - (vehicle.wheelbase - b) / rear)
-
-    return gradient
-
-
 def usual_understeer(vehicle: Vehicle) -> Belief:
     """Road cars understeer by 0 to 3.5 deg per g; without it, driving at one speed confuses this with the ratio."""
-    return Belief(understeer_gradient(vehicle), 0.003, 0.003)
+
+    def gradient(car: dict[str, float]) -> float:
+        b = car["cg_to_rear_axle"]
+        stiffness = car["cornering_stiffness_front"], car["cornering_stiffness_rear"]
+        return understeer_gradient(vehicle.mass, vehicle.wheelbase - b, b, *stiffness)
+
+    return Belief(gradient, 0.003, 0.003)
 
 
 def before_value(vehicle: Vehicle, name: str) -> float:

@@ -7,6 +7,7 @@ from math import atan2, ceil
 import numpy as np
 from numba import njit
 
+from crosscomb.models.linear_single_track import linear_single_track_rates
 from crosscomb.models.plant import (
     BRAKE,
     DRIVE,
@@ -23,6 +24,7 @@ from crosscomb.models.plant import (
     make_plant,
 )
 from crosscomb.models.plant_motion import step
+from crosscomb.models.single_track import single_track
 from crosscomb.models.vehicle import Vehicle
 from crosscomb.signals import Signals
 from crosscomb.training.simulation.driver import start
@@ -61,20 +63,7 @@ def replay_linear(log: Signals, vehicle: Vehicle, steer_offset: float = 0.0) -> 
     """The same of the linear single track: constant axle stiffness, small angles."""
     speed, steer, rear = _inputs(log, vehicle, steer_offset)
     yaw_rate, beta = np.empty((2, len(speed)))
-    _run_linear(
-        log.t,
-        np.maximum(speed, 1.0),
-        steer,
-        rear,
-        vehicle.mass,
-        vehicle.yaw_inertia,
-        vehicle.cg_to_front_axle,
-        vehicle.cg_to_rear_axle,
-        vehicle.cornering_stiffness_front,
-        vehicle.cornering_stiffness_rear,
-        yaw_rate,
-        beta,
-    )
+    _run_linear(log.t, np.maximum(speed, 1.0), steer, rear, single_track(vehicle), yaw_rate, beta)
     return yaw_rate, beta
 
 
@@ -114,7 +103,7 @@ def _run(x, t, speed, steer, rear, friction, p, yaw_rate, beta):
 
 
 @njit(cache=True)
-def _run_linear(t, speed, steer, rear, mass, inertia, a, b, front, back, yaw_rate, beta):
+def _run_linear(t, speed, steer, rear, car, yaw_rate, beta):
     """Write yaw rate and sideslip angle of the linear single track in implicit Euler steps of 1 ms."""
     r, slip = 0.0, 0.0
     for k in range(t.size):
@@ -129,12 +118,12 @@ def _run_linear(t, speed, steer, rear, mass, inertia, a, b, front, back, yaw_rat
             v = speed[k] + share * (speed[k + 1] - speed[k])
             delta = steer[k] + share * (steer[k + 1] - steer[k])
             delta_rear = rear[k] + share * (rear[k + 1] - rear[k])
-            a11 = 1.0 + h * (a * a * front + b * b * back) / (inertia * v)
-            a12 = h * (a * front - b * back) / inertia
-            a21 = h * (1.0 + (a * front - b * back) / (mass * v * v))
-            a22 = 1.0 + h * (front + back) / (mass * v)
-            r_next = r + h * (a * front * delta - b * back * delta_rear) / inertia
-            slip_next = slip + h * (front * delta + back * delta_rear) / (mass * v)
-            whole = a11 * a22 - a12 * a21
-            r = (r_next * a22 - a12 * slip_next) / whole
-            slip = (a11 * slip_next - a21 * r_next) / whole
+            forced, _, (a11, a21, _, a12, a22, _) = linear_single_track_rates(
+                0.0, 0.0, v, delta, delta_rear, car
+            )
+            r_next, slip_next = r + h * forced[0], slip + h * forced[1]
+            whole = (1.0 - h * a11) * (1.0 - h * a22) - h * h * a12 * a21
+            r, slip = (
+                ((1.0 - h * a22) * r_next + h * a12 * slip_next) / whole,
+                ((1.0 - h * a11) * slip_next + h * a21 * r_next) / whole,
+            )
