@@ -10,6 +10,8 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+import numpy as np
+
 from crosscomb.models.compiled import inlined
 from crosscomb.models.linear_single_track import yaw_damping
 from crosscomb.models.tyres import TYRE_LAWS, axle_tyre, lateral_capacity
@@ -255,3 +257,37 @@ def stable_substeps(vx, dt, car):
     lateral = (car.stiffness_front + car.stiffness_rear) / car.mass
     yaw = yaw_damping(car) / car.yaw_inertia
     return 1 + int(dt * (lateral + yaw) / vx)
+
+
+def axle_use(
+    yaw_rate: np.ndarray,
+    yaw_acceleration: np.ndarray,
+    beta: np.ndarray,
+    vx: np.ndarray,
+    vx_rate: np.ndarray,
+    ay: np.ndarray,
+    steer: np.ndarray,
+    steer_rear: np.ndarray,
+    vehicle: Vehicle,
+) -> np.ndarray:
+    """Slip angles and forces that a measured motion asks of the axles, whatever their tyres are.
+
+    Parameters
+    ----------
+    yaw_rate, yaw_acceleration, beta, vx, vx_rate, ay, steer, steer_rear : ndarray
+        ``(n,)`` SI.
+    vehicle : Vehicle
+
+    Returns
+    -------
+    ndarray
+        ``(4, n)`` slip angle [rad] and lateral force over load [-] of the front, then of the rear axle.
+    """
+    a, b, mass = vehicle.cg_to_front_axle, vehicle.cg_to_rear_axle, vehicle.mass
+    transfer = mass * vx_rate * vehicle.cg_height / (a + b)
+    load_f, load_r = mass * GRAVITY * b / (a + b) - transfer, mass * GRAVITY * a / (a + b) + transfer
+    force_f = (mass * ay * b + vehicle.yaw_inertia * yaw_acceleration) / (a + b) / np.cos(steer)
+    force_r = (mass * ay * a - vehicle.yaw_inertia * yaw_acceleration) / (a + b)
+    slip_f = steer - np.arctan(np.tan(beta) + a * yaw_rate / vx)
+    slip_r = steer_rear - np.arctan(np.tan(beta) - b * yaw_rate / vx)
+    return np.stack([slip_f, force_f / load_f, slip_r, force_r / load_r])

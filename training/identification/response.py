@@ -1,8 +1,6 @@
-"""A single track with both tyres of each axle, driven by a log's steering and speed: what sensors should have shown.
+"""Response of the single track with both tyres of each axle to a log's steering and speed, and what sensors see of it.
 
-Unlike the filters' single track it knows what the simulation plant knows below the limit: load transfer across the
-car and tyres that give less under it, compliance of the steering, the drive that keeps the speed, the relaxation of the
-tyres and the lag of the steering system. What is left out would be found in stiffness, ratio and latencies.
+Beside the model's equations stand the lag of the steering system, the delays, offsets and places of the sensors.
 """
 
 from __future__ import annotations
@@ -16,10 +14,8 @@ from numba import njit
 from scipy.signal import bilinear, lfilter
 
 from crosscomb.filters.base import MAX_BETA
+from crosscomb.models import tyre_pair_track as track
 from crosscomb.models.plant import PlantParameters
-from crosscomb.models.plant_motion import ROLLING_RESISTANCE, TOE_LAG
-from crosscomb.models.single_track import body_rates
-from crosscomb.models.tyres_combined import SLIP_STIFFNESS_RATIO, combined_forces
 from crosscomb.models.vehicle import Vehicle
 from crosscomb.signals import GRAVITY
 from crosscomb.training.identification.trace import RATE, Trace
@@ -32,17 +28,7 @@ second with which a car answers its steering. With the right parameters there is
 """
 
 
-FASTEST = 150.0
-"""Slip follows no faster than this [1/s]: the steps bear no more."""
 MAX_SLIP, MAX_YAW_RATE = 2.0, 5.0  # [-], [rad/s]
-MOST_LONGITUDINAL = 0.7
-"""Share of its grip that an axle uses along at most, as far as the model goes."""
-
-
-R, BETA, SLIP_F, SLIP_R, TOE_F, TOE_R, ROLL, ROLL_RATE = range(8)
-STATES = 8
-"""Yaw rate, beta, relaxed lateral slips, what side force takes from the wheels' angles, and ay as the body carries it
-with its rate; SI."""
 
 
 class Sensing(NamedTuple):
@@ -165,132 +151,30 @@ def _first_order(lag: float) -> tuple[np.ndarray, np.ndarray]:
 
 
 @njit(cache=True)
-def _axle_force(slip, apart, along, load, across, friction, tyre):
-    """Lateral force of both tyres of an axle, and that of the right less that of the left one [N].
-
-    Parameters
-    ----------
-    slip : float
-        Relaxed lateral slip [-].
-    apart : float
-        What the left tyre has more, and the right one less.
-    along : float
-        Longitudinal force of the axle [N].
-    load, across : float
-        Load of the axle, and what moves from the left to the right tyre [N].
-    tyre : CombinedTyre
-    """
-    grip = MOST_LONGITUDINAL * friction * load
-    # The longitudinal slip that gives this force when the tyre does nothing else.
-    slip_x = min(max(along, -grip), grip) / (2.0 * SLIP_STIFFNESS_RATIO * tyre.stiffness)
-    across = min(max(across, -0.5 * load), 0.5 * load)
-    _, left = combined_forces(slip_x, slip + apart, 0.5 * load - across, friction, tyre)
-    _, right = combined_forces(slip_x, slip - apart, 0.5 * load + across, friction, tyre)
-    return left + right, right - left
-
-
-@njit(cache=True)
-def yaw_damping(car):
-    """Yaw moment over yaw rate [N m s/rad] by which the differentials' friction resists turning."""
-    damping = 0.0
-    if car.share_front > 0.0:
-        damping += (2.0 * car.half_track_front / car.wheel_radius) ** 2
-    if car.share_front < 1.0:
-        damping += (2.0 * car.half_track_rear / car.wheel_radius) ** 2
-    return car.differential_lock * damping
-
-
-@njit(cache=True)
-def _rates(x, u, car, friction, dx):
-    """Write the time derivative of the states `R` to `ROLL_RATE`; gives ay.
-
-    Inputs u: vx, steer, steer_rear, d(vx)/dt, measured yaw rate.
-    """
-    r, beta, rolled = x[R], x[BETA], x[ROLL]
-    vx = u[0]
-    steer = u[1] - x[TOE_F] - car.roll_steer_front * rolled
-    rear = u[2] - x[TOE_R] + car.roll_steer_rear * rolled
-    sin_b, cos_b = math.sin(beta), math.cos(beta)
-    vy = vx * sin_b / cos_b
-    wheelbase = car.front + car.rear
-    weight, drag = car.mass * GRAVITY - car.lift * vx * vx, car.drag * vx * vx
-    along = car.mass * (u[3] - vy * r) + drag
-    transfer = along * car.cg_height / wheelbase
-    load_f, load_r = weight * car.rear / wheelbase - transfer, weight * car.front / wheelbase + transfer
-    # From the left to the right tyre, by springs and dampers of the body (docs/plant.md, section 3).
-    carried = rolled + 2.0 * car.body_damping / car.body_rate * x[ROLL_RATE]
-    roll = 0.5 * car.mass * car.cg_height * carried
-    across_f = roll * car.roll_share_front / car.half_track_front
-    across_r = roll * (1.0 - car.roll_share_front) / car.half_track_rear
-    # What drives the car: inertia, drag, and the front tyres' force against the motion.
-    side_f = 2.0 * car.tyre_front.stiffness * x[SLIP_F]
-    needed = along + side_f * math.sin(steer) + ROLLING_RESISTANCE * weight
-    share = car.share_front if needed > 0.0 else car.brake_share_front
-    fxf = share * needed - ROLLING_RESISTANCE * load_f
-    fxr = (1.0 - share) * needed - ROLLING_RESISTANCE * load_r
-    # The inner wheel of an axle travels slower and turns further (docs/plant.md, section 1).
-    course_f, course_r = math.atan((vy + car.front * r) / vx), math.atan((vy - car.rear * r) / vx)
-    apart_f = car.half_track_front * (steer * steer / wheelbase - course_f * r / vx)
-    apart_r = -car.half_track_rear * course_r * r / vx
-    fyf, uneven = _axle_force(x[SLIP_F], apart_f, fxf, load_f, across_f, friction, car.tyre_front)
-    fyr, _ = _axle_force(x[SLIP_R], apart_r, fxr, load_r, across_r, friction, car.tyre_rear)
-    turning, sliding, _, ay = body_rates(
-        fxf, fxr, fyf, fyr, vx, r, math.cos(steer), math.sin(steer), math.cos(rear), math.sin(rear),
-        cos_b, sin_b, car.mass, car.yaw_inertia, car.front, car.rear,
-    )  # fmt: skip
-    # The outer front wheel holds the car back more; and the differentials do.
-    held = car.half_track_front * uneven * math.sin(steer) + yaw_damping(car) * r
-    held += 2.0 * ROLLING_RESISTANCE * (car.half_track_front * across_f + car.half_track_rear * across_r)
-    quick = min(vx / car.relaxation_y, FASTEST)
-    dx[R] = turning - held / car.yaw_inertia
-    dx[BETA] = sliding
-    dx[SLIP_F] = quick * (math.tan(steer - course_f) - x[SLIP_F])
-    dx[SLIP_R] = quick * (math.tan(rear - course_r) - x[SLIP_R])
-    dx[TOE_F] = (car.compliance_front * fyf - x[TOE_F]) / TOE_LAG
-    dx[TOE_R] = (car.compliance_rear * fyr - x[TOE_R]) / TOE_LAG
-    dx[ROLL] = x[ROLL_RATE]
-    dx[ROLL_RATE] = car.body_rate * (car.body_rate * (ay - rolled) - 2.0 * car.body_damping * x[ROLL_RATE])
-    return ay
-
-
-@njit(cache=True)
-def _begin(x, u, car):
-    """Write the states of steady cornering at the measured yaw rate."""
-    vx, r = u[0], u[4]
-    side = car.mass * vx * r / (car.front + car.rear)
-    x[R], x[ROLL], x[ROLL_RATE] = r, vx * r, 0.0
-    x[SLIP_F] = 0.5 * side * car.rear / car.tyre_front.stiffness
-    x[SLIP_R] = 0.5 * side * car.front / car.tyre_rear.stiffness
-    x[TOE_F] = car.compliance_front * side * car.rear
-    x[TOE_R] = car.compliance_rear * side * car.front
-    x[BETA] = r * car.rear / vx - x[SLIP_R]
-
-
-@njit(cache=True)
 def _run(inputs, running, car, friction, dt, out):
     """Write yaw rate, beta, ay and yaw acceleration of every running row, by the midpoint rule."""
-    x, middle, dx, on = np.zeros(STATES), np.zeros(STATES), np.zeros(STATES), False
+    x, middle, dx, on = np.zeros(track.STATES), np.zeros(track.STATES), np.zeros(track.STATES), False
     for k in range(len(running)):
         if not running[k]:
             on = False
             continue
         now = inputs[k]
         if not on:
-            _begin(x, now, car)
+            track.steady_cornering(x, now, car)
             on = True
-        ay = _rates(x, now, car, friction, dx)
-        out[k, 0], out[k, 1], out[k, 2], out[k, 3] = x[R], x[BETA], ay, dx[R]
+        ay = track.rates(x, now, car, friction, dx)
+        out[k, 0], out[k, 1], out[k, 2], out[k, 3] = x[track.R], x[track.BETA], ay, dx[track.R]
         if k + 1 == len(running) or not running[k + 1]:
             continue
-        dx[R] += HOLD * (now[4] - x[R])
-        for i in range(STATES):
+        dx[track.R] += HOLD * (now[4] - x[track.R])
+        for i in range(track.STATES):
             middle[i] = x[i] + 0.5 * dt * dx[i]
         between = 0.5 * (now + inputs[k + 1])
-        _rates(middle, between, car, friction, dx)
-        dx[R] += HOLD * (between[4] - middle[R])
-        for i in range(STATES):
+        track.rates(middle, between, car, friction, dx)
+        dx[track.R] += HOLD * (between[4] - middle[track.R])
+        for i in range(track.STATES):
             x[i] += dt * dx[i]
-        x[R] = min(max(x[R], -MAX_YAW_RATE), MAX_YAW_RATE)
-        x[BETA] = min(max(x[BETA], -MAX_BETA), MAX_BETA)
-        x[SLIP_F] = min(max(x[SLIP_F], -MAX_SLIP), MAX_SLIP)
-        x[SLIP_R] = min(max(x[SLIP_R], -MAX_SLIP), MAX_SLIP)
+        x[track.R] = min(max(x[track.R], -MAX_YAW_RATE), MAX_YAW_RATE)
+        x[track.BETA] = min(max(x[track.BETA], -MAX_BETA), MAX_BETA)
+        x[track.SLIP_F] = min(max(x[track.SLIP_F], -MAX_SLIP), MAX_SLIP)
+        x[track.SLIP_R] = min(max(x[track.SLIP_R], -MAX_SLIP), MAX_SLIP)

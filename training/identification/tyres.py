@@ -14,6 +14,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from crosscomb.models.magic_formula import magic_formula
+from crosscomb.models.single_track import axle_use
 from crosscomb.models.tyres import rational_tyre
 from crosscomb.models.vehicle import Vehicle
 from crosscomb.signals import GRAVITY
@@ -82,21 +83,13 @@ def tyre_curves(traces: list[Trace], vehicle: Vehicle, fit: Fit) -> dict[str, Ax
 def _points(trace: Trace, vehicle: Vehicle, fit: Fit, i: int) -> np.ndarray:
     """Slip angle [rad] and force over load [-] of the front, then of the rear axle ``(4, m)``."""
     sensing = fit.sensing(i)
-    a, b, mass = vehicle.cg_to_front_axle, vehicle.cg_to_rear_axle, vehicle.mass
     steer = road_wheel_angle(trace, sensing, vehicle.plant.steer_lag)
     yaw_rate, ay = _corrected(trace, sensing)
-    turning = np.gradient(yaw_rate, trace.t)
+    turning, pull = np.gradient(yaw_rate, trace.t), np.gradient(trace.vx, trace.t)
     beta = _sideslip(trace, vehicle, fit, sensing, yaw_rate, ay)
-    pull = np.gradient(trace.vx, trace.t)
-    transfer = mass * pull * vehicle.cg_height / (a + b)
-    load_f, load_r = mass * GRAVITY * b / (a + b) - transfer, mass * GRAVITY * a / (a + b) + transfer
-    force_f = (mass * ay * b + vehicle.yaw_inertia * turning) / (a + b) / np.cos(steer)
-    force_r = (mass * ay * a - vehicle.yaw_inertia * turning) / (a + b)
     vx = np.maximum(trace.vx, 1.0)
-    slip_f = steer - np.arctan(np.tan(beta) + a * yaw_rate / vx)
-    slip_r = trace.steer_rear - np.arctan(np.tan(beta) - b * yaw_rate / vx)
-    rows = settled(trace.wild) & np.isfinite(beta)
-    return np.stack([slip_f, force_f / load_f, slip_r, force_r / load_r])[:, rows]
+    use = axle_use(yaw_rate, turning, beta, vx, pull, ay, steer, trace.steer_rear, vehicle)
+    return use[:, settled(trace.wild) & np.isfinite(beta)]
 
 
 def _corrected(trace: Trace, sensing: Sensing) -> tuple[np.ndarray, np.ndarray]:
