@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from joblib import Parallel, delayed
 
 from crosscomb.filters.catalogue import make_filter
 from crosscomb.run.estimate import FilterRun, run_filters
 from crosscomb.selection.artefact import FilterSettings
 from crosscomb.selection.windows import WindowSettings
 from crosscomb.training.metrics import countable
+from crosscomb.training.parallel import in_parallel
 from crosscomb.training.recordings import Recording
 from crosscomb.training.selectors.labels import Windows, concatenate, label_run, oracle_beta
 
@@ -86,16 +86,5 @@ def run_bank(
     progress : callable, optional
         Called after each recording.
     """
-    made: Iterable[BankRun]
-    if jobs == 1:
-        made = (run_one(recording, filters, rate, window) for recording in recordings)
-    else:
-        made = Parallel(n_jobs=jobs, return_as="generator")(
-            delayed(run_one)(recording, filters, rate, window) for recording in recordings
-        )
-    results = []
-    for result in made:
-        results.append(result)
-        if progress is not None:
-            progress()
-    return results
+    tasks = [(recording, filters, rate, window) for recording in recordings]
+    return in_parallel(run_one, tasks, jobs, progress)

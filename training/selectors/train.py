@@ -7,7 +7,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from joblib import Parallel, delayed
 from threadpoolctl import threadpool_limits
 
 from crosscomb.errors import UsageError
@@ -18,6 +17,7 @@ from crosscomb.run.drive import require_known
 from crosscomb.run.tuned import Tuned, with_tuned
 from crosscomb.selection.artefact import Artefact, FilterSettings
 from crosscomb.training.folds import Parts, grouped_folds, split_recordings
+from crosscomb.training.parallel import in_parallel
 from crosscomb.training.recordings import Recording, common_vehicle
 from crosscomb.training.selectors.bank import run_bank
 from crosscomb.training.selectors.evaluate import Evaluation, evaluate, pool
@@ -145,16 +145,8 @@ def fit_all(
     fitter: Fitter, tasks: Sequence[Sequence[int]], jobs: int, progress: Callable[[], None] | None
 ) -> list[tuple[Artefact, TreeShape]]:
     """Fit on each set of recordings, side by side; one thread each, so that the sums are the same everywhere."""
-    fits = []
     with threadpool_limits(1):
-        made = Parallel(n_jobs=jobs, return_as="generator", prefer="threads")(
-            delayed(fitter.fit)(members) for members in tasks
-        )
-        for one in made:
-            fits.append(one)
-            if progress is not None:
-                progress()
-    return fits
+        return in_parallel(fitter.fit, [(members,) for members in tasks], jobs, progress, prefer="threads")
 
 
 def steps(recordings: Sequence[Recording], folds: int) -> int:

@@ -5,18 +5,18 @@ from __future__ import annotations
 import gzip
 import io
 import json
-import os
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from joblib import Parallel, delayed
 
 from crosscomb.errors import UsageError
+from crosscomb.files import write_file, write_json, write_text
 from crosscomb.models.plant import PlantParameters
 from crosscomb.models.vehicle import Vehicle, vehicle_text
 from crosscomb.signals import Signals, make_signals
+from crosscomb.training.parallel import in_parallel
 from crosscomb.training.recordings import CARD
 from crosscomb.training.simulation.data_card import data_card, log_entry
 from crosscomb.training.simulation.driver import run_manoeuvre, start
@@ -168,17 +168,9 @@ def simulate_data_set(
         raise UsageError(f"logs {logs}: ask for at least one log")
     work = plan_jobs(vehicle, logs, preset)
     _clear(out_dir, force)
-    results = Parallel(n_jobs=jobs, return_as="generator")(
-        delayed(_write_log)(vehicle, out_dir, seed, job) for job in work
-    )
-    entries = []
-    for entry in results:
-        entries.append(entry)
-        if progress is not None:
-            progress()
-    _write(out_dir / VEHICLE_FILE, vehicle_text(vehicle).encode())
-    card = data_card(vehicle, seed, preset, entries)
-    _write(out_dir / CARD, (json.dumps(card, indent=1) + "\n").encode())
+    entries = in_parallel(_write_log, [(vehicle, out_dir, seed, job) for job in work], jobs, progress)
+    write_text(out_dir / VEHICLE_FILE, vehicle_text(vehicle))
+    write_json(out_dir / CARD, data_card(vehicle, seed, preset, entries))
     return [out_dir / f"{job.name}.csv.gz" for job in work]
 
 
@@ -195,7 +187,7 @@ def _write_log(vehicle: Vehicle, out_dir: Path, seed: int, job: Job) -> dict[str
     buffer = io.BytesIO()
     with gzip.GzipFile(fileobj=buffer, mode="wb", mtime=0, compresslevel=6) as stream:
         stream.write(log.frame.to_csv(index=False, float_format="%.7g", lineterminator="\n").encode())
-    _write(out_dir / f"{job.name}.csv.gz", buffer.getvalue())
+    write_file(out_dir / f"{job.name}.csv.gz", lambda temporary: temporary.write_bytes(buffer.getvalue()))
     return log_entry(job, log)
 
 
@@ -220,10 +212,3 @@ def _earlier_logs(out_dir: Path) -> set[str]:
         return {str(entry["log"]) for entry in card["logs"]}
     except (OSError, ValueError, KeyError, TypeError):
         return set()
-
-
-def _write(path: Path, data: bytes) -> None:
-    """Write through a temporary name, so that no half file is ever seen."""
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
-    temporary.write_bytes(data)
-    temporary.replace(path)

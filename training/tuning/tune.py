@@ -7,18 +7,18 @@ whether the tuned noise is kept. Without ground truth the likelihood of the meas
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from joblib import Parallel, delayed
 
 from crosscomb.errors import UsageError
 from crosscomb.filters.catalogue import CATALOGUE, make_filter, settings_of
 from crosscomb.models.vehicle import load_vehicle
 from crosscomb.selection.artefact import FilterSettings
 from crosscomb.training.folds import grouped_folds
+from crosscomb.training.parallel import in_parallel
 from crosscomb.training.recordings import Recording
 from crosscomb.training.tuning.noise import NoiseSpace, noise_space
 from crosscomb.training.tuning.scores import ERROR, LIKELIHOOD, TuneLog, losses, prepare, score_logs
@@ -149,11 +149,10 @@ def tune(
         for entry in entries
         for number, chosen in enumerate(members)
     ]
-    found = list(_in_parallel(_search, tasks, jobs, progress))
+    found = in_parallel(_search, tasks, jobs, progress)
     size = len(members)
     judged = [(entry, found[i * size : (i + 1) * size], logs, pairs, by) for i, entry in enumerate(entries)]
-    filters = list(_in_parallel(_judge, judged, jobs, None))
-    return Tuning(by, [log.name for log in logs], filters)
+    return Tuning(by, [log.name for log in logs], in_parallel(_judge, judged, jobs))
 
 
 def searches(filters: int, recordings: int, folds: int = 3) -> int:
@@ -183,23 +182,6 @@ def require_tunable(name: str, by: str) -> None:
 def is_tunable(name: str, by: str) -> bool:
     """Tell whether a filter of the catalogue has noise that can be tuned this way."""
     return _space(FilterSettings(name=name), by).dimensions > 0
-
-
-def _in_parallel(
-    work: Callable[..., Any], tasks: list[tuple[Any, ...]], jobs: int, progress: Callable[[], None] | None
-) -> Iterable[Any]:
-    """Do the tasks in their order, in processes where there are several."""
-    done: Iterable[Any]
-    if jobs == 1:
-        done = (work(*task) for task in tasks)
-    else:
-        # max_nbytes: arrays from mapped files are read-only, and kernels would be compiled anew for them.
-        parallel = Parallel(n_jobs=jobs, return_as="generator", max_nbytes=None)
-        done = parallel(delayed(work)(*task) for task in tasks)
-    for result in done:
-        if progress is not None:
-            progress()
-        yield result
 
 
 def _space(entry: FilterSettings, by: str) -> NoiseSpace:
