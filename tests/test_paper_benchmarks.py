@@ -8,8 +8,8 @@ from crosscomb.training.suites.papers import (
     _accuracy_verdict,
     _pace_verdict,
     _snow_verdict,
-    _timed,
 )
+from crosscomb.training.suites.speed import timed
 
 KALMAN = [name for name in D_INVERNO if "PF" not in name]
 
@@ -61,6 +61,6 @@ def test_the_verdict_on_snow_tells_the_places_apart(rmse_b, words):
 
 
 def test_time_is_that_of_one_run():
-    answer, seconds = _timed(lambda: sum(range(100_000)))
+    answer, seconds = timed(lambda: sum(range(100_000)))
     assert answer == sum(range(100_000))
     assert 0.0 < seconds < 1.0

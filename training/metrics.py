@@ -31,6 +31,11 @@ def countable(beta_ref: np.ndarray, vx: np.ndarray) -> np.ndarray:
     return np.isfinite(beta_ref) & (vx > MIN_SPEED)
 
 
+def rms(error: np.ndarray) -> float:
+    """Root of the mean square of errors ``(n,)``."""
+    return float(np.sqrt(np.mean(error**2)))
+
+
 def score(beta: np.ndarray, beta_ref: np.ndarray, counted: np.ndarray) -> Score:
     """Error of an estimate over the counted samples.
 
@@ -42,7 +47,7 @@ def score(beta: np.ndarray, beta_ref: np.ndarray, counted: np.ndarray) -> Score:
     error = beta[counted] - beta_ref[counted]
     if error.size == 0:
         return Score(float("nan"), float("nan"), 0)
-    return Score(float(np.sqrt(np.mean(error**2))), float(np.max(np.abs(error))), int(error.size))
+    return Score(rms(error), float(np.max(np.abs(error))), int(error.size))
 
 
 def coverage(beta: np.ndarray, beta_std: np.ndarray, beta_ref: np.ndarray, counted: np.ndarray) -> float:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from typing import Any
+from typing import Any, Literal
 
 from joblib import Parallel, delayed
 
@@ -13,7 +13,7 @@ def in_parallel(
     tasks: Iterable[tuple[Any, ...]],
     jobs: int,
     progress: Callable[[], None] | None = None,
-    prefer: str | None = None,
+    prefer: Literal["processes", "threads"] | None = None,
 ) -> list[Any]:
     """Do tasks at once and give their results in order, which do not depend on how many go at once.
 

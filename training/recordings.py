@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 from crosscomb.errors import UsageError
+from crosscomb.filters.base import Inputs, make_inputs
 from crosscomb.logs.channel_map import ChannelMap
+from crosscomb.logs.grid import to_grid
 from crosscomb.logs.prepare import complete
 from crosscomb.logs.read import log_name, read_log
 from crosscomb.models.vehicle import Vehicle, load_vehicle
 from crosscomb.run.estimate import require_plausible
 from crosscomb.signals import Signals
+from crosscomb.training.metrics import countable
 
 LEAST_RECORDINGS = 7
 """Fewer cannot be split 75/15/10 and still leave five folds."""
@@ -41,6 +46,23 @@ class Recording:
     def is_simulated(self) -> bool:
         """Whether it comes from `crosscomb simulate`, whose data card then lies beside it."""
         return self.path.with_name(CARD).is_file()
+
+    def stretches(
+        self, rate: float, with_truth: bool = True
+    ) -> Iterator[tuple[Inputs, np.ndarray, np.ndarray]]:
+        """Samples as filters take them, the true beta ``(n,) [rad]`` and which of them count ``(n,) bool``.
+
+        Parameters
+        ----------
+        rate : float
+            Working rate [Hz].
+        with_truth : bool
+            Only samples with ground truth count.
+        """
+        for segment in to_grid(self.signals, rate):
+            beta_ref, vx = segment.signals.beta_ref, segment.signals.column("vx")
+            counted = countable(beta_ref if with_truth else np.zeros_like(vx), vx)
+            yield make_inputs(segment.signals, self.vehicle, 1.0 / rate), beta_ref, counted
 
 
 CARD = "dataset.json"

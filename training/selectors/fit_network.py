@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import math
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -17,15 +17,13 @@ from sklearn.exceptions import ConvergenceWarning
 from sklearn.neural_network import MLPRegressor
 
 from crosscomb.errors import UsageError
-from crosscomb.filters.base import MAX_BETA, Inputs, make_inputs
+from crosscomb.filters.base import MAX_BETA
 from crosscomb.filters.learned import COLUMNS, FEEDBACK_DELAY, FeedbackNetwork, NeuralNetwork, Neurons
-from crosscomb.logs.grid import to_grid
-from crosscomb.logs.prepare import complete
 from crosscomb.models.vehicle import load_vehicle
-from crosscomb.training.metrics import countable
+from crosscomb.training.metrics import rms
 from crosscomb.training.recordings import Recording
 from crosscomb.training.simulation.presets import plan_jobs
-from crosscomb.training.simulation.simulate import simulate_log
+from crosscomb.training.simulation.simulate import simulate_recording
 
 HIDDEN = 10
 """Neurons of the hidden layer, as in Chindamo et al. 2018."""
@@ -47,14 +45,6 @@ DEFAULT_VEHICLES = ("generic_compact", "golf_gti_2018", "volvo_s90", "volvo_v40"
 
 LOGS = 12
 """Simulated logs of each of them."""
-
-
-def segments(recording: Recording, rate: float) -> Iterator[tuple[Inputs, np.ndarray, np.ndarray]]:
-    """Samples of a recording as filters take them, the true beta ``(n,) [rad]`` and which of them count."""
-    for segment in to_grid(recording.signals, rate):
-        inputs = make_inputs(segment.signals, recording.vehicle, 1.0 / rate)
-        beta = segment.signals.beta_ref
-        yield inputs, beta, countable(beta, segment.signals.column("vx"))
 
 
 def training_rows(
@@ -81,7 +71,7 @@ def training_rows(
     rows: list[np.ndarray] = []
     truth: list[np.ndarray] = []
     for recording in recordings:
-        for run, beta, counted in segments(recording, rate):
+        for run, beta, counted in recording.stretches(rate):
             table = run.samples[:, COLUMNS]
             if feedback:
                 before = np.concatenate([np.full(back, np.nan), beta])[: len(beta)]
@@ -157,14 +147,14 @@ def fit_network(
 
 def rms_error(network: Neurons, recordings: Sequence[Recording], rate: float = 100.0) -> float:
     """RMS error [rad] over recordings of the network on its own, fed with its own answers."""
-    squares: list[np.ndarray] = []
+    errors: list[np.ndarray] = []
     kind = FeedbackNetwork if network.delay > 0.0 else NeuralNetwork
     for recording in recordings:
         estimator = kind(recording.vehicle, network=network)
-        for inputs, beta, counted in segments(recording, rate):
+        for inputs, beta, counted in recording.stretches(rate):
             good = counted & (np.abs(beta) < LARGEST_BETA)
-            squares.append((estimator.run(inputs).beta - beta)[good] ** 2)
-    return float(np.sqrt(np.concatenate(squares).mean()))
+            errors.append((estimator.run(inputs).beta - beta)[good])
+    return rms(np.concatenate(errors))
 
 
 def simulated_recordings(
@@ -175,11 +165,9 @@ def simulated_recordings(
     for number, name in enumerate(vehicles):
         vehicle = load_vehicle(name)
         for job in plan_jobs(vehicle, logs):
-            log = simulate_log(
-                vehicle, job.manoeuvre, (seed, number, job.number), surface=job.surface, duration=duration
-            )
-            label = f"{name}/{job.name}"
-            recordings.append(Recording(label, Path(label), vehicle, complete(log, vehicle)))
+            options = {"surface": job.surface, "duration": duration, "name": f"{name}/{job.name}"}
+            seeds = seed, number, job.number
+            recordings.append(simulate_recording(vehicle, job.manoeuvre, seeds, **options))
     return recordings
 
 

@@ -8,16 +8,18 @@ import json
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from crosscomb.errors import UsageError
 from crosscomb.files import write_file, write_json, write_text
+from crosscomb.logs.prepare import complete
 from crosscomb.models.plant import PlantParameters
 from crosscomb.models.vehicle import Vehicle, vehicle_text
 from crosscomb.signals import Signals, make_signals
 from crosscomb.training.parallel import in_parallel
-from crosscomb.training.recordings import CARD
+from crosscomb.training.recordings import CARD, Recording
 from crosscomb.training.simulation.data_card import data_card, log_entry
 from crosscomb.training.simulation.driver import run_manoeuvre, start
 from crosscomb.training.simulation.manoeuvres import MANOEUVRES
@@ -98,6 +100,14 @@ def simulate_log(
     wrong = draw_faults(rng, PROFILES[sensors], n) if faults else PERFECT
     log = make_signals(measure(truth, vehicle, wrong, rng), name or manoeuvre, "simulation")
     return replace(log, notes=_notes(road.grip, plant, vehicle))
+
+
+def simulate_recording(
+    vehicle: Vehicle, manoeuvre: str, seed: int | tuple[int, ...], **options: Any
+) -> Recording:
+    """Simulate one log as training takes it; for the options see `simulate_log`."""
+    log = simulate_log(vehicle, manoeuvre, seed, **options)
+    return Recording(log.name, Path(log.name), vehicle, complete(log, vehicle))
 
 
 def _require(name: str, known: object, what: str) -> None:

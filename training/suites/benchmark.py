@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import tempfile
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
-import numpy as np
 import pandas as pd
 
 from crosscomb.errors import UsageError
@@ -21,6 +20,7 @@ from crosscomb.training.recordings import Recording, read_recordings
 from crosscomb.training.selectors.bank import run_bank
 from crosscomb.training.selectors.evaluate import Evaluation, evaluate, score_filters
 from crosscomb.training.simulation.simulate import simulate_data_set, simulate_log
+from crosscomb.training.suites.speed import timed
 
 SHARED_SET = (
     "kth_volvo_s90/slalom_30kph",
@@ -135,11 +135,5 @@ def filter_speeds(
     speeds = {}
     entries = [*artefact.filters, *filters]
     for entry, estimator in zip(entries, make_filters(entries, vehicle), strict=True):
-        estimator.run(inputs)
-        times = []
-        for _ in range(repeats):
-            start = time.perf_counter()
-            estimator.run(inputs)
-            times.append(time.perf_counter() - start)
-        speeds[entry.name] = float(np.min(times)) / len(inputs.samples) * 1e6
+        speeds[entry.name] = timed(partial(estimator.run, inputs), repeats)[1] / len(inputs.samples) * 1e6
     return speeds

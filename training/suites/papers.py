@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any
@@ -10,16 +9,14 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from crosscomb.filters.base import make_inputs
 from crosscomb.filters.catalogue import make_filter
-from crosscomb.logs.grid import to_grid
-from crosscomb.logs.prepare import complete
 from crosscomb.models.vehicle import load_vehicle
 from crosscomb.run.estimate import estimate_log
 from crosscomb.selection.artefact import load_artefact
-from crosscomb.training.metrics import countable, score, score_log
-from crosscomb.training.simulation.simulate import simulate_log
+from crosscomb.training.metrics import rms, score_log
+from crosscomb.training.simulation.simulate import simulate_log, simulate_recording
 from crosscomb.training.suites.papers_adaptive import PaperTable, di_biase_table_3, pieralice_figure_2
+from crosscomb.training.suites.speed import timed
 
 RATE = 100.0
 
@@ -45,9 +42,6 @@ D_INVERNO: dict[str, tuple[str, dict[str, Any]]] = {
 }
 """The paper's ten filters by their names in the catalogue."""
 
-RUNS = 5
-"""Every filter is timed in so many runs."""
-
 SNOW_CAR = "sports_mid_engine"
 SNOW_LOGS = {"snow A": 3, "snow B": 4}
 
@@ -58,30 +52,18 @@ def d_inverno_tables() -> tuple[PaperTable, PaperTable]:
     rmse: dict[str, dict[str, float]] = {name: {} for name in D_INVERNO}
     pace: dict[str, dict[str, float]] = {name: {} for name in D_INVERNO}
     for test, manoeuvre in KART_TESTS.items():
-        signals = complete(simulate_log(car, manoeuvre, (2021, len(test), ord(test[-1])), duration=40.0), car)
-        segment = to_grid(signals, RATE)[0].signals
-        inputs = make_inputs(segment, car, 1.0 / RATE)
-        counted = countable(segment.beta_ref, segment.column("vx"))
+        drive = simulate_recording(car, manoeuvre, (2021, len(test), ord(test[-1])), duration=40.0)
+        inputs, truth, counted = next(drive.stretches(RATE))
         for name, (key, settings) in D_INVERNO.items():
             estimator = make_filter(key, car, settings)
-            estimate, seconds = _timed(partial(estimator.run, inputs))
+            estimate, seconds = timed(partial(estimator.run, inputs))
             pace[name][test] = 1e3 * seconds / (len(inputs.samples) / RATE)
-            rmse[name][test] = float(np.degrees(score(estimate.beta, segment.beta_ref, counted).rmse))
+            rmse[name][test] = float(np.degrees(rms((estimate.beta - truth)[counted])))
     errors, times = (_with_mean(pd.DataFrame.from_dict(part, orient="index")) for part in (rmse, pace))
     return (
         PaperTable(errors, _accuracy_verdict(errors["mean"])),
         PaperTable(times, _pace_verdict(times["mean"])),
     )
-
-
-def _timed(run: Callable[[], Any]) -> tuple[Any, float]:
-    """Answer of a run and its CPU time [s]: the shortest of some, after one that may compile."""
-    answer, seconds = run(), []
-    for _ in range(RUNS):
-        start = time.process_time()
-        run()
-        seconds.append(time.process_time() - start)
-    return answer, min(seconds)
 
 
 def _with_mean(table: pd.DataFrame) -> pd.DataFrame:

@@ -8,14 +8,12 @@ import numpy as np
 import pandas as pd
 
 from crosscomb.filters import columns as at
-from crosscomb.filters.base import Inputs, make_inputs
+from crosscomb.filters.base import Inputs
 from crosscomb.filters.catalogue import make_filter
-from crosscomb.logs.grid import to_grid
-from crosscomb.logs.prepare import complete
 from crosscomb.models.planar import contacts, planar_car, planar_rates, set_contacts
 from crosscomb.models.vehicle import Vehicle, load_vehicle
-from crosscomb.signals import MIN_SPEED
-from crosscomb.training.simulation.simulate import simulate_log
+from crosscomb.training.metrics import rms
+from crosscomb.training.simulation.simulate import simulate_recording
 
 RATE = 100.0
 
@@ -106,19 +104,12 @@ def _truck_verdict(table: pd.DataFrame) -> str:
 
 def _score_truck(truck: Vehicle, manoeuvre: str, seed: tuple[int, ...], duration: float) -> dict[str, float]:
     """RMSE [deg] of each filter on one log above the low-speed gate."""
-    log = complete(simulate_log(truck, manoeuvre, seed, friction=0.9, duration=duration), truck)
+    drive = simulate_recording(truck, manoeuvre, seed, friction=0.9, duration=duration)
     errors: dict[str, list[np.ndarray]] = {name: [] for name in TRUCK_FILTERS}
-    for segment in to_grid(log, RATE):
-        inputs = make_inputs(segment.signals, truck, 1.0 / RATE)
-        reference = segment.signals.beta_ref
-        counted = np.isfinite(reference) & (segment.signals.column("vx") > MIN_SPEED)
+    for inputs, truth, counted in drive.stretches(RATE):
         for name, entry in TRUCK_FILTERS.items():
-            errors[name].append((make_filter(entry, truck).run(inputs).beta - reference)[counted])
-    return {name: _rms_deg(np.concatenate(parts)) for name, parts in errors.items()}
-
-
-def _rms_deg(error: np.ndarray) -> float:
-    return float(np.degrees(np.sqrt(np.mean(error**2))))
+            errors[name].append((make_filter(entry, truck).run(inputs).beta - truth)[counted])
+    return {name: float(np.degrees(rms(np.concatenate(parts)))) for name, parts in errors.items()}
 
 
 def pieralice_figure_2(seed: int = 2018) -> PaperTable:
@@ -142,7 +133,7 @@ def pieralice_figure_2(seed: int = 2018) -> PaperTable:
             error = make_filter(entry, EVOQUE, settings).run(inputs).beta - truth
             smooth = pd.Series(error).rolling(int(0.5 * RATE)).mean().dropna().to_numpy()
             kmh = f"{3.6 * speed:.0f} km/h"
-            rows[name][f"RMSE, {kmh}"] = _rms_deg(error)
+            rows[name][f"RMSE, {kmh}"] = float(np.degrees(rms(error)))
             rows[name][f"largest, {kmh}"] = float(np.degrees(np.abs(smooth).max()))
     table = pd.DataFrame.from_dict(rows, orient="index")
     largest = table[[column for column in table if str(column).startswith("largest")]].max(axis=1)
@@ -200,14 +191,7 @@ def ramp_steer(vehicle: Vehicle, speed: float, seed: int) -> tuple[Inputs, np.nd
             u_dot, v_dot, r_dot, ax, ay = planar_rates(u, v, r, contact, car)
             u, v, r = u + h * u_dot, v + h * v_dot, r + h * r_dot
         beta[k] = np.arctan2(v, u)
-        samples[k, [at.VX, at.AX, at.AY, at.YAW_RATE, at.STEER, at.FXR]] = (
-            u,
-            ax,
-            ay,
-            r,
-            steer,
-            force,
-        )
+        samples[k, RAMP_COLUMNS] = u, ax, ay, r, steer, force
         if ay > RAMP_END:
             break
     samples, beta = samples[: k + 1], beta[: k + 1]

@@ -8,12 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from crosscomb.errors import UsageError
-from crosscomb.filters.base import Inputs, KernelFilter, make_inputs
+from crosscomb.filters.base import Inputs, KernelFilter
 from crosscomb.filters.catalogue import make_filter
-from crosscomb.logs.grid import to_grid
 from crosscomb.models.vehicle import Vehicle
 from crosscomb.selection.artefact import FilterSettings
-from crosscomb.training.metrics import countable
+from crosscomb.training.metrics import rms
 from crosscomb.training.recordings import Recording
 
 ERROR, LIKELIHOOD = "error", "likelihood"
@@ -61,15 +60,12 @@ def prepare(
     logs = []
     for recording in recordings:
         stretches, left = [], longest
-        for segment in to_grid(recording.signals, rate):
-            beta_ref, vx = segment.signals.beta_ref, segment.signals.column("vx")
-            inputs = make_inputs(segment.signals, recording.vehicle, 1.0 / rate)
-            counted = countable(np.zeros_like(vx) if by == LIKELIHOOD else beta_ref, vx)
+        for inputs, beta_ref, counted in recording.stretches(rate, by != LIKELIHOOD):
             if not counted.any() or left <= 0.0:
                 continue
             first = int(np.argmax(counted)) if np.isfinite(longest) else 0
-            taken = slice(first, first + int(min(left * rate, len(vx))))
-            left -= len(vx[taken]) / rate
+            taken = slice(first, first + int(min(left * rate, len(counted))))
+            left -= len(counted[taken]) / rate
             stretches.append((Inputs(inputs.dt, inputs.samples[taken]), beta_ref[taken], counted[taken]))
         if not stretches:
             raise UsageError(
@@ -89,7 +85,7 @@ def score_logs(entry: FilterSettings, logs: Sequence[TuneLog], by: str) -> np.nd
             total = -sum(estimator.log_likelihood(inputs) for inputs, _, _ in log.stretches)
             scores.append(total / sum(len(inputs.samples) for inputs, _, _ in log.stretches))
         else:
-            scores.append(float(np.degrees(np.sqrt(np.mean(_errors(estimator, log) ** 2)))))
+            scores.append(np.degrees(rms(_errors(estimator, log))))
     return np.array(scores)
 
 
