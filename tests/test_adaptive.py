@@ -103,9 +103,9 @@ def test_step_by_step_gives_the_bits_of_the_batch(name: str, rough: Inputs) -> N
     estimator = make_filter(name, GOLF)
     batch, started = estimator.run(rough), estimator.start(rough.dt)
     for k, sample in enumerate(rough.samples):
-        beta, beta_std, _ = estimator.step(started, sample)
-        assert (beta, beta_std) == (batch.beta[k], batch.beta_std[k])
-        assert tuple(started.out[3:]) == tuple(values[k] for values in batch.extra.values())
+        step = estimator.advance(started, sample[None])
+        assert (step.beta[0], step.beta_std[0]) == (batch.beta[k], batch.beta_std[k])
+        assert [values[0] for values in step.extra.values()] == [values[k] for values in batch.extra.values()]
 
 
 @pytest.mark.parametrize("name", NAMES)

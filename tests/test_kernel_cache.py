@@ -22,8 +22,8 @@ from crosscomb.filters.catalogue import CATALOGUE, make_filter
 from crosscomb.models.vehicle import load_vehicle
 
 vehicle = load_vehicle("generic_compact")
-samples = np.zeros((30, SAMPLE_WIDTH))
-samples[:, VX] = 20.0
+samples = np.zeros((30, at.SAMPLE_WIDTH))
+samples[:, at.VX] = 20.0
 for name in CATALOGUE:
     estimator = make_filter(name, vehicle)
     estimator.run(Inputs(0.01, samples))
