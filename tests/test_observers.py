@@ -17,11 +17,8 @@ from crosscomb.filters.single_track.observers import (
 )
 from crosscomb.models.kinematic import slip_of_rolling_rear
 from crosscomb.models.linear_single_track import linear_single_track_rates
-from crosscomb.models.single_track import single_track_rates, stable_substeps
-from crosscomb.models.vehicle import load_vehicle
+from drives import DT, GOLF, model_slalom
 
-DT = 0.01
-GOLF = load_vehicle("golf_gti_2018")
 OBSERVERS: dict[str, KernelFilter] = {
     "luenberger": Luenberger(GOLF),
     "extended": ExtendedLuenberger(GOLF),
@@ -29,6 +26,13 @@ OBSERVERS: dict[str, KernelFilter] = {
 }
 CAR = OBSERVERS["luenberger"].car
 each_observer = pytest.mark.parametrize("name", OBSERVERS)
+
+
+def slalom(name: str, steps: int = 1200) -> tuple[Inputs, np.ndarray]:
+    """Noiseless slalom of the observer's own model, and its beta."""
+    inputs, beta = model_slalom(steps, CAR, linear=name == "luenberger")
+    inputs.samples[:, at.VFL :] = np.nan
+    return inputs, beta
 
 
 def textbook(vx: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
@@ -42,35 +46,6 @@ def textbook(vx: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
     )
     c_matrix = np.array([[1.0, 0.0], [(b * cr - a * cf) / (m * vx), -(cf + cr) / m]])
     return a_matrix, np.array([a * cf / iz, cf / (m * vx)]), c_matrix, np.array([0.0, cf / m])
-
-
-def slalom(name: str, steps: int = 1200) -> tuple[Inputs, np.ndarray]:
-    """Noiseless slalom of the observer's own model, from the state the observer starts in, and its beta."""
-    t = DT * np.arange(steps)
-    samples = np.zeros((steps, at.SAMPLE_WIDTH))
-    samples[:, at.VX], samples[:, at.AX] = 18.0 + 6.0 * np.sin(0.3 * t), 1.8 * np.cos(0.3 * t)
-    samples[:, at.FXF] = samples[:, at.FXR] = 0.5 * CAR.mass * samples[:, at.AX]
-    samples[:, at.STEER] = 0.02 + 0.04 * np.sin(2.0 * t)
-    samples[:, at.STEER_REAR] = 0.1 * samples[:, at.STEER]
-    samples[:, 10:] = np.nan
-    state = np.array([0.1, slip_of_rolling_rear(*samples[0, [at.STEER, at.STEER_REAR]], CAR.a, CAR.b)])
-    beta = np.empty(steps)
-
-    def model(sample: np.ndarray) -> tuple[np.ndarray, float]:
-        if name == "luenberger":
-            rates, ay, _ = linear_single_track_rates(*state, *sample[[at.VX, at.STEER, at.STEER_REAR]], CAR)
-        else:
-            given = (*sample[[at.VX, at.STEER, at.STEER_REAR, at.FXF, at.FXR, at.AX]], 0.0)
-            rates, (_, ay), _ = single_track_rates(*state, *given, CAR)
-        return np.array(rates), ay
-
-    for k, sample in enumerate(samples):
-        substeps = stable_substeps(sample[at.VX], DT, CAR) if k else 0
-        for _ in range(substeps):
-            state = state + DT / substeps * model(sample)[0]
-        sample[at.YAW_RATE], beta[k] = state
-        sample[at.AY] = model(sample)[1]
-    return Inputs(DT, samples), beta
 
 
 def test_linear_model_is_the_textbook_one() -> None:

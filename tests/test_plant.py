@@ -30,25 +30,10 @@ from crosscomb.models.plant import (
 )
 from crosscomb.models.plant_motion import step, wheel_loads
 from crosscomb.models.tyres_combined import combined_forces
-from crosscomb.models.vehicle import Plant, Vehicle
+from crosscomb.models.vehicle import Plant
 from crosscomb.signals import GRAVITY
 from crosscomb.training.simulation.driver import start
-
-CAR = Vehicle(
-    name="test car",
-    mass=1400.0,
-    yaw_inertia=2200.0,
-    cg_to_front_axle=1.1,
-    cg_to_rear_axle=1.5,
-    cg_height=0.53,
-    track_front=1.52,
-    track_rear=1.50,
-    wheel_radius=0.31,
-    steering_ratio=16.0,
-    cornering_stiffness_front=95e3,
-    cornering_stiffness_rear=120e3,
-    roll_gradient=0.007,
-)
+from drives import TEST_CAR as CAR
 
 
 def drive(

@@ -18,22 +18,8 @@ from crosscomb.training.simulation.road import SURFACES, level_road
 from crosscomb.training.simulation.scene import Scene
 from crosscomb.training.simulation.schedule import AX, AY, PATH_HEADING, PATH_Y, PROFILE, SLIDE, Driver
 from crosscomb.training.simulation.simulate import run_script, simulate_data_set, simulate_log
+from drives import TEST_CAR as CAR
 
-CAR = Vehicle(
-    name='car "with" quotes',
-    mass=1400.0,
-    yaw_inertia=2200.0,
-    cg_to_front_axle=1.1,
-    cg_to_rear_axle=1.5,
-    cg_height=0.53,
-    track_front=1.52,
-    track_rear=1.50,
-    wheel_radius=0.31,
-    steering_ratio=16.0,
-    cornering_stiffness_front=95e3,
-    cornering_stiffness_rear=120e3,
-    roll_gradient=0.007,
-)
 DRIVER = Driver(preview=0.6, steer_rate=1.0, acceleration=3.0, deceleration=5.0, wheel_spin=0.5)
 
 
