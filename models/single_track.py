@@ -259,17 +259,7 @@ def stable_substeps(vx, dt, car):
     return 1 + int(dt * (lateral + yaw) / vx)
 
 
-def axle_use(
-    yaw_rate: np.ndarray,
-    yaw_acceleration: np.ndarray,
-    beta: np.ndarray,
-    vx: np.ndarray,
-    vx_rate: np.ndarray,
-    ay: np.ndarray,
-    steer: np.ndarray,
-    steer_rear: np.ndarray,
-    vehicle: Vehicle,
-) -> np.ndarray:
+def axle_use(yaw_rate, yaw_acceleration, beta, vx, vx_rate, ay, steer, steer_rear, vehicle):
     """Slip angles and forces that a measured motion asks of the axles, whatever their tyres are.
 
     Parameters

@@ -11,15 +11,13 @@ from pathlib import Path
 import pandas as pd
 
 from crosscomb.errors import UsageError
-from crosscomb.filters.base import make_inputs
-from crosscomb.logs.grid import to_grid
 from crosscomb.models.vehicle import load_vehicle
 from crosscomb.run.drive import make_filters
 from crosscomb.selection.artefact import Artefact, FilterSettings
 from crosscomb.training.recordings import Recording, read_recordings
 from crosscomb.training.selectors.bank import run_bank
 from crosscomb.training.selectors.evaluate import Evaluation, evaluate, score_filters
-from crosscomb.training.simulation.simulate import simulate_data_set, simulate_log
+from crosscomb.training.simulation.simulate import simulate_data_set, simulate_recording
 from crosscomb.training.suites.speed import timed
 
 SHARED_SET = (
@@ -129,9 +127,7 @@ def filter_speeds(
 ) -> dict[str, float]:
     """Time of each filter per sample [us], the best of some runs over a simulated minute."""
     vehicle = load_vehicle("generic_compact")
-    signals = simulate_log(vehicle, "slalom", seed=1, duration=60.0)
-    segment = to_grid(signals, artefact.rate)[0]
-    inputs = make_inputs(segment.signals, vehicle, 1.0 / artefact.rate)
+    inputs, _, _ = next(simulate_recording(vehicle, "slalom", 1, duration=60.0).stretches(artefact.rate))
     speeds = {}
     entries = [*artefact.filters, *filters]
     for entry, estimator in zip(entries, make_filters(entries, vehicle), strict=True):

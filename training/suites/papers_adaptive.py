@@ -137,18 +137,17 @@ def pieralice_figure_2(seed: int = 2018) -> PaperTable:
             rows[name][f"largest, {kmh}"] = float(np.degrees(np.abs(smooth).max()))
     table = pd.DataFrame.from_dict(rows, orient="index")
     largest = table[[column for column in table if str(column).startswith("largest")]].max(axis=1)
-    within = [name for name in RAMP_FILTERS if name.startswith("EKF+RW") and largest[name] <= RAMP_BAR]
-    missed = [name for name in RAMP_FILTERS if name.startswith("EKF+RW") and largest[name] > RAMP_BAR]
-    better = [name for name in RAMP_FILTERS if largest[name] < largest["EKF"]]
-    worse = [name for name in RAMP_FILTERS if largest[name] > largest["EKF"]]
-    verdict = f"Within {RAMP_BAR:g} deg as published: {', '.join(within) or 'none'}"
-    if missed:
-        verdict += f"; not: {', '.join(missed)}"
-    ranking = f"Closer than EKF, as published: {', '.join(better) or 'none'}"
-    if worse:
-        ranking += f"; not: {', '.join(worse)}"
+    others = largest.drop("EKF")
+    verdict = f"Within {RAMP_BAR:g} deg as published: {_told(others <= RAMP_BAR)}"
+    ranking = f"Closer than EKF, as published: {_told(others < largest['EKF'])}"
     tie = "What held beta in the paper beside u, r and the zero yaw moment is not printed: the ties are ours."
     return PaperTable(table, f"{verdict}. {ranking}. {tie}")
+
+
+def _told(holds: pd.Series) -> str:
+    """Names of what something holds for, and of what not."""
+    yes, no = (", ".join(holds.index[holds == one]) for one in (True, False))
+    return (yes or "none") + (f"; not: {no}" if no else "")
 
 
 def ramp_steer(vehicle: Vehicle, speed: float, seed: int) -> tuple[Inputs, np.ndarray]:
