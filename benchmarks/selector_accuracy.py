@@ -23,6 +23,7 @@ import numpy as np
 from joblib import Parallel, delayed
 from threadpoolctl import threadpool_limits
 
+from crosscomb.selection.answer import select, start_selection
 from crosscomb.selection.artefact import Artefact
 from crosscomb.training.recordings import Recording, read_recordings
 from crosscomb.training.selectors.bank import BankRun
@@ -52,10 +53,10 @@ def fitter_of(recordings: Sequence[Recording], selector: str, jobs: int) -> Fitt
 def pace(banks: Sequence[BankRun], artefact: Artefact) -> float:
     """CPU time that features, selector and switch take per sample [us], filters left out."""
     runs = [run for bank in banks for run in bank.runs]
-    runs[0].answer(artefact)
+    select(start_selection(artefact), runs[0])
     start = time.process_time()
     for run in runs:
-        run.answer(artefact)
+        select(start_selection(artefact), run)
     return 1e6 * (time.process_time() - start) / sum(len(run.beta) for run in runs)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -102,8 +102,7 @@ class Signals:
     @property
     def beta_ref(self) -> np.ndarray:
         """Ground-truth sideslip angle ``(n,) [rad]``; beta_ref wins over vx_ref and vy_ref."""
-        velocity = np.arctan2(self.column("vy_ref"), self.column("vx_ref"))
-        return np.where(np.isfinite(self.column("beta_ref")), self.column("beta_ref"), velocity)
+        return truth_of(self.column)
 
     @property
     def has_reference(self) -> bool:
@@ -114,6 +113,12 @@ class Signals:
         """Copy with columns added or replaced, and a note of what was done."""
         notes = (*self.notes, note) if note else self.notes
         return replace(self, frame=self.frame.assign(**columns), notes=notes)
+
+
+def truth_of(column: Callable[[str], np.ndarray]) -> np.ndarray:
+    """Ground-truth sideslip angle ``(n,) [rad]`` from what `column` gives by name."""
+    velocity = np.arctan2(column("vy_ref"), column("vx_ref"))
+    return np.where(np.isfinite(column("beta_ref")), column("beta_ref"), velocity)
 
 
 def make_signals(frame: pd.DataFrame, name: str, source: str = "", others: Sequence[str] = ()) -> Signals:

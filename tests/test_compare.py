@@ -166,21 +166,20 @@ def test_every_selector_comes_back_from_its_file_and_estimates_the_same(
 def test_every_selector_works_in_pieces(artefacts, banks, name, size):
     bank = compare_module.with_windows(banks[2], artefacts[name].window)
     (run,) = bank.runs
-    whole = run.answer(artefacts[name])
-    selection, parts = start_selection(artefacts[name], run.vehicle), []
+    whole = select(start_selection(artefacts[name]), run)
+    selection, parts = start_selection(artefacts[name]), []
     for start in range(0, len(run.beta), size):
         cut = slice(start, start + size)
-        parts.append(
-            select(
-                selection,
-                run.inputs.samples[cut],
-                run.beta[cut],
-                run.beta_std[cut],
-                run.nis[cut],
-                [innovations[cut] for innovations in run.innovations],
-                run.features[cut],
-            )
+        piece = replace(
+            run,
+            inputs=replace(run.inputs, samples=run.inputs.samples[cut]),
+            beta=run.beta[cut],
+            beta_std=run.beta_std[cut],
+            nis=run.nis[cut],
+            innovations=[innovations[cut] for innovations in run.innovations],
+            windows=run.windows[cut],
         )
+        parts.append(select(selection, piece))
     for one, pieces in zip(whole, zip(*parts, strict=True), strict=True):
         np.testing.assert_array_equal(one, np.concatenate(pieces))
 

@@ -9,8 +9,16 @@ from scipy.signal import lfilter
 from crosscomb.filters.catalogue import CATALOGUE, make_filter
 from crosscomb.logs.prepare import complete
 from crosscomb.models.vehicle import load_vehicle
-from crosscomb.run.estimate import FilterRun, run_filters
-from crosscomb.selection.features import INNOVATION_ODD, MEMORIES, MOST_INNOVATION, Layout, layout
+from crosscomb.run.drive import run_filters
+from crosscomb.selection.features import (
+    INNOVATION_ODD,
+    MEMORIES,
+    MOST_INNOVATION,
+    Layout,
+    all_features,
+    layout,
+)
+from crosscomb.selection.seen import Seen
 from crosscomb.selection.windows import WindowSettings
 from crosscomb.signals import Signals
 from crosscomb.training.simulation.simulate import simulate_log
@@ -38,7 +46,7 @@ def log() -> Signals:
     return replace(log, frame=frame)
 
 
-def run_of(log: Signals, names: list[str]) -> FilterRun:
+def run_of(log: Signals, names: list[str]) -> Seen:
     """Filters over a log in one piece."""
     filters = [make_filter(name, CAR) for name in names]
     (run,) = run_filters(complete(log, CAR), CAR, filters, RATE, WindowSettings())
@@ -88,7 +96,7 @@ def test_of_every_innovation_it_is_known_whether_it_is_odd(name):
 def test_features_are_the_innovations_and_their_means(log):
     """Against the filters' own answers and scipy's recursive filter; what is missing counts as 0."""
     run, places = run_of(log, NAMES), layout(NAMES)
-    features = run.all_features()
+    features = all_features(run)
     missing, struck = set(), False
     for feature, (name, innovation) in TOLD.items():
         told = make_filter(name, CAR).run(run.inputs).extra[innovation]
@@ -108,7 +116,7 @@ def test_features_are_the_innovations_and_their_means(log):
 
 def test_a_mirrored_drive_flips_just_the_odd_features(log):
     places: Layout = layout(NAMES)
-    plain, other = (run_of(one, NAMES).all_features() for one in (log, mirrored(log)))
+    plain, other = (all_features(run_of(one, NAMES)) for one in (log, mirrored(log)))
     np.testing.assert_allclose(other, plain * np.where(places.odd, -1.0, 1.0), rtol=1e-4, atol=1e-6)
     innovations = [places.names.index(name) for name in TOLD]
     assert (np.abs(plain[:, innovations]).max(axis=0) > 1e-3).all(), "they must tell something"
@@ -117,5 +125,5 @@ def test_a_mirrored_drive_flips_just_the_odd_features(log):
 @pytest.mark.parametrize("members", [[2, 0], [1], [1, 2], [0, 1, 2]])
 def test_some_of_the_filters_have_the_features_of_a_run_of_their_own(log, members):
     run, alone = run_of(log, NAMES).only(members), run_of(log, [NAMES[member] for member in members])
-    np.testing.assert_array_equal(run.all_features(), alone.all_features())
-    assert run.all_features().shape[1] == len(layout([NAMES[member] for member in members]).names)
+    np.testing.assert_array_equal(all_features(run), all_features(alone))
+    assert all_features(run).shape[1] == len(layout([NAMES[member] for member in members]).names)

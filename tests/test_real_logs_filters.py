@@ -9,12 +9,13 @@ from crosscomb.filters.catalogue import DEFAULT_FILTERS, make_filter
 from crosscomb.logs.prepare import complete
 from crosscomb.logs.read import read_log
 from crosscomb.models.vehicle import load_vehicle
-from crosscomb.run.estimate import FilterRun, run_filters
+from crosscomb.run.drive import run_filters
+from crosscomb.selection.seen import Seen
 from crosscomb.selection.windows import WindowSettings
 from crosscomb.signals import MIN_SPEED
 
 
-def runs_of(path: Path) -> list[FilterRun]:
+def runs_of(path: Path) -> list[Seen]:
     """The default filters over one recording, with the vehicle file beside it."""
     beside = path.parent / "vehicle.toml"
     vehicle = load_vehicle(beside if beside.exists() else "generic_compact")
@@ -23,13 +24,13 @@ def runs_of(path: Path) -> list[FilterRun]:
 
 
 @pytest.fixture(scope="module")
-def runs(data_dir: Path) -> dict[str, list[FilterRun]]:
+def runs(data_dir: Path) -> dict[str, list[Seen]]:
     logs = sorted(path for path in data_dir.glob("*/*") if path.name.endswith((".csv", ".csv.gz")))
     assert len(logs) > 20
     return {f"{path.parent.name}/{path.name}": runs_of(path) for path in logs}
 
 
-def test_every_sample_has_an_answer(runs: dict[str, list[FilterRun]]) -> None:
+def test_every_sample_has_an_answer(runs: dict[str, list[Seen]]) -> None:
     for name, parts in runs.items():
         for part in parts:
             assert np.isfinite(part.beta).all(), name
@@ -39,12 +40,12 @@ def test_every_sample_has_an_answer(runs: dict[str, list[FilterRun]]) -> None:
             assert np.degrees(part.beta_std).max() < 90.0, name
 
 
-def test_no_filter_runs_away(runs: dict[str, list[FilterRun]], data_dir: Path) -> None:
+def test_no_filter_runs_away(runs: dict[str, list[Seen]], data_dir: Path) -> None:
     scored = 0
     for name, parts in runs.items():
         beta = np.concatenate([part.beta for part in parts])
-        truth = np.concatenate([part.segment.signals.beta_ref for part in parts])
-        vx = np.concatenate([part.segment.signals.column("vx") for part in parts])
+        truth = np.concatenate([part.beta_ref for part in parts])
+        vx = np.concatenate([part.column("vx") for part in parts])
         counted = np.isfinite(truth) & (vx > MIN_SPEED)
         if not counted.any():
             continue

@@ -23,7 +23,7 @@ def table(request, recordings: list[Recording]) -> tuple[str, Windows, np.ndarra
     kind = SELECTORS[request.param]
     banks = run_bank(recordings, default_filters(recordings[0].vehicle), 100.0, kind.window)
     windows = concatenate([bank.windows(kind.window) for bank in banks])
-    samples = np.concatenate([bank.joined(lambda run: run.features) for bank in banks])
+    samples = np.concatenate([bank.joined(lambda run: run.windows) for bank in banks])
     assert len(windows.features) > 500
     assert len(samples) > 10_000
     return request.param, windows, samples

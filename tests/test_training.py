@@ -13,6 +13,7 @@ from crosscomb.errors import UsageError
 from crosscomb.models.vehicle import Vehicle, load_vehicle
 from crosscomb.report.page import metrics_json
 from crosscomb.run.estimate import estimate_log
+from crosscomb.selection.answer import select, start_selection
 from crosscomb.selection.artefact import load_artefact, save_artefact
 from crosscomb.selection.windows import WindowSettings
 from crosscomb.signals import Signals, make_signals
@@ -90,7 +91,7 @@ def slow_windows(bank: BankRun, settings: WindowSettings) -> list[tuple[int, lis
     """Last sample of each window and the RMSE of each filter in it, written out."""
     found = []
     for run in bank.runs:
-        vx, truth = run.segment.signals.column("vx").tolist(), run.segment.signals.beta_ref.tolist()
+        vx, truth = run.column("vx").tolist(), run.beta_ref.tolist()
         beta = run.beta.tolist()
         for end in range(settings.length - 1, len(vx), settings.hop):
             rows = range(end - settings.length + 1, end + 1)
@@ -109,7 +110,7 @@ def test_labels_are_the_filter_with_the_lowest_windowed_rmse(banks):
         np.testing.assert_allclose(windows.rmse, [rmse for _, rmse in expected], rtol=1e-9)
         np.testing.assert_array_equal(windows.label, [int(np.argmin(rmse)) for _, rmse in expected])
         (run,) = bank.runs
-        np.testing.assert_array_equal(windows.features, run.features[[end for end, _ in expected]])
+        np.testing.assert_array_equal(windows.features, run.windows[[end for end, _ in expected]])
         labels |= set(windows.label)
     assert labels == {0, 1, 2}
 
@@ -145,17 +146,11 @@ def test_windows_without_truth_or_too_slow_are_left_out(recordings, banks):
     (bank,) = run_bank([half], default_filters(half.vehicle), 100.0, WINDOW)
     assert len(bank.windows(WINDOW).label) == pytest.approx(0.5 * len(banks[2].windows(WINDOW).label), abs=1)
     (run,) = bank.runs
-    slow = replace(
-        run, segment=replace(run.segment, signals=run.segment.signals.with_columns(vx=np.full(n, 2.9)))
-    )
+    slow = replace(run, points=run.points.copy())
+    slow.column("vx")[:] = 2.9
     assert label_run(slow, WINDOW).rmse.shape == (0, 3)
-    short = replace(
-        run,
-        segment=replace(
-            run.segment, signals=replace(run.segment.signals, frame=run.segment.signals.frame[:5])
-        ),
-    )
-    assert label_run(replace(short, beta=run.beta[:5], features=run.features[:5]), WINDOW).label.size == 0
+    short = replace(run, points=run.points[:5], beta=run.beta[:5], windows=run.windows[:5])
+    assert label_run(short, WINDOW).label.size == 0
 
 
 def test_fifty_hertz_logs_can_be_trained_on(recordings):
@@ -227,7 +222,7 @@ def test_the_confusion_matrix_counts_windows(banks, trained):
         expected = np.zeros((3, 3), dtype=int)
         for best, selected in zip(windows.label, picked, strict=True):
             expected[best, selected] += 1
-        answers = [run.answer(chosen) for run in bank.runs]
+        answers = [select(start_selection(chosen), run) for run in bank.runs]
         counts, regret = confusion_of(bank, answers, chosen)
         np.testing.assert_array_equal(counts, expected)
         lost = windows.rmse[np.arange(len(picked)), picked] - windows.rmse.min(axis=1)
@@ -445,7 +440,7 @@ def test_a_broken_log_is_named_before_anything_is_run(
         raise AssertionError("nothing may be run")
 
     monkeypatch.setattr(train_module, "run_bank", forbidden)
-    monkeypatch.setattr("crosscomb.run.estimate.run_filters", forbidden)
+    monkeypatch.setattr("crosscomb.training.selectors.bank.run_filters", forbidden)
     with pytest.raises(UsageError) as caught:
         read_recordings(tmp_path)
     for word in ("zz_last.csv", "row 9", "column t"):

@@ -277,7 +277,7 @@ def estimate(
     from crosscomb.logs.channel_map import load_map
     from crosscomb.report import terminal
     from crosscomb.run.drive import name_filters
-    from crosscomb.run.estimate import estimate_log, extra_outputs, open_logs, write_estimate, write_table
+    from crosscomb.run.estimate import estimate_log, open_logs, write_estimate, write_table
     from crosscomb.run.tuned import load_tuned, require_used
     from crosscomb.selection.artefact import load_artefact
     from crosscomb.training.metrics import score_log
@@ -295,11 +295,10 @@ def estimate(
     scores, shares, notes = {}, {}, []
     with terminal.progress("estimating", len(opened)) as advance:
         for log in opened:
-            result = estimate_log(log.signals, log.vehicle, artefact, names or None, given)
+            result = estimate_log(log.signals, log.vehicle, artefact, names or None, given, extras)
             name = log.signals.name
             if extras:
-                told = extra_outputs(log.signals, log.vehicle, artefact, names or None, given)
-                write_table(told, output / f"{name}.extras.csv")
+                write_table(result.extras_table(), output / f"{name}.extras.csv")
             write_estimate(result, output / f"{name}.estimate.csv")
             if spot is not None:
                 write_table(result.point_table(*spot), output / f"{name}.point.csv")
@@ -318,7 +317,9 @@ def estimate(
 
                 plot_estimate(result, output / f"{name}.estimate.png", f"{name}, {log.vehicle.name}")
                 if extras:
-                    plot_extras(told, output / f"{name}.extras.png", f"{name}, {log.vehicle.name}")
+                    plot_extras(
+                        result.extras_table(), output / f"{name}.extras.png", f"{name}, {log.vehicle.name}"
+                    )
             notes += [f"{name}: {note}" for note in result.signals.notes]
             if result.signals.has_reference:
                 scores[name] = score_log(result)

@@ -104,7 +104,7 @@ def extras_figure(table: pd.DataFrame, title: str) -> Figure:
     Parameters
     ----------
     table : pandas.DataFrame
-        As made by `crosscomb.run.estimate.extra_outputs`.
+        As of `crosscomb.run.stream.LogEstimate.extras_table`.
     title : str
     """
     told = [str(column).partition(" ") for column in table.columns.drop("t")]

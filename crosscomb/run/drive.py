@@ -7,17 +7,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 
 from crosscomb.errors import UsageError
-from crosscomb.filters.base import HELD, Estimate, Inputs, KernelFilter, Started, next_inputs
+from crosscomb.filters.base import HELD, Estimate, KernelFilter, Started, next_inputs
 from crosscomb.filters.catalogue import CATALOGUE, make_filter
+from crosscomb.logs.grid import to_grid
 from crosscomb.models.vehicle import Vehicle
 from crosscomb.selection.artefact import Artefact, FilterSettings
+from crosscomb.selection.seen import Seen
 from crosscomb.selection.windows import Past, WindowSettings, next_windows
-from crosscomb.signals import COLUMN
+from crosscomb.signals import COLUMN, Signals
 
 _AY, _YAW_RATE = COLUMN["ay"], COLUMN["yaw_rate"]
 
@@ -31,33 +32,17 @@ class Drive:
     started: Sequence[Started]
     dt: float  # [s]
     window: WindowSettings
+    extras: bool  # keep all that the filters tell beside beta
     held: np.ndarray
     past: Past
 
 
-class Seen(NamedTuple):
-    """What filters and windows make of some grid points.
-
-    Attributes
-    ----------
-    inputs : Inputs
-    beta, beta_std, nis : (n, filters) [rad], [rad], [-]
-    innovations : list of (n, m)
-        Of each filter, see `KernelFilter.innovations`.
-    features : (n, f) float32
-        Of the window that ends at each point.
-    """
-
-    inputs: Inputs
-    beta: np.ndarray
-    beta_std: np.ndarray
-    nis: np.ndarray
-    innovations: list[np.ndarray]
-    features: np.ndarray
-
-
 def start_drive(
-    vehicle: Vehicle, filters: Sequence[KernelFilter], rate: float, window: WindowSettings
+    vehicle: Vehicle,
+    filters: Sequence[KernelFilter],
+    rate: float,
+    window: WindowSettings,
+    extras: bool = False,
 ) -> Drive:
     """Make the state before the first grid point.
 
@@ -67,10 +52,12 @@ def start_drive(
     filters : sequence of KernelFilter
     rate : float [Hz]
     window : WindowSettings
+    extras : bool
+        Keep all that the filters tell beside beta.
     """
     dt = 1.0 / rate
     started = [estimator.start(dt) for estimator in filters]
-    return Drive(vehicle, filters, started, dt, window, np.zeros(len(HELD)), Past())
+    return Drive(vehicle, filters, started, dt, window, extras, np.zeros(len(HELD)), Past())
 
 
 def next_seen(drive: Drive, points: np.ndarray) -> Seen:
@@ -80,22 +67,46 @@ def next_seen(drive: Drive, points: np.ndarray) -> Seen:
         estimator.advance(started, inputs.samples)
         for estimator, started in zip(drive.filters, drive.started, strict=True)
     ]
+    both = list(zip(drive.filters, estimates, strict=True))
     return Seen(
-        inputs,
-        np.column_stack([estimate.beta for estimate in estimates]),
-        np.column_stack([estimate.beta_std for estimate in estimates]),
-        np.column_stack([estimate.nis for estimate in estimates]),
-        [
-            _innovations(estimator, estimate)
-            for estimator, estimate in zip(drive.filters, estimates, strict=True)
-        ],
-        next_windows(drive.past, points[:, _AY], points[:, _YAW_RATE], drive.window),
+        vehicle=drive.vehicle,
+        points=points,
+        inputs=inputs,
+        beta=np.column_stack([estimate.beta for estimate in estimates]),
+        beta_std=np.column_stack([estimate.beta_std for estimate in estimates]),
+        nis=np.column_stack([estimate.nis for estimate in estimates]),
+        innovations=[_told(estimate, estimator.innovations()) for estimator, estimate in both],
+        extras=[_told(estimate, estimator.extras) for estimator, estimate in both] if drive.extras else [],
+        windows=next_windows(drive.past, points[:, _AY], points[:, _YAW_RATE], drive.window),
     )
 
 
-def _innovations(estimator: KernelFilter, estimate: Estimate) -> np.ndarray:
-    told = [estimate.extra[name] for name in estimator.innovations()]
+def _told(estimate: Estimate, names: Sequence[str]) -> np.ndarray:
+    told = [estimate.extra[name] for name in names]
     return np.array(told).T if told else np.empty((len(estimate.beta), 0))
+
+
+def run_filters(
+    signals: Signals, vehicle: Vehicle, filters: Sequence[KernelFilter], rate: float, window: WindowSettings
+) -> list[Seen]:
+    """Run filters over a log and cut its windows: where training starts. Run time goes the same way, with a switch.
+
+    Parameters
+    ----------
+    signals : Signals
+        Completed by `crosscomb.logs.prepare.complete`.
+    vehicle, filters, rate, window
+        As in `start_drive`.
+
+    Returns
+    -------
+    list of Seen
+        One per stretch of the log without a long gap.
+    """
+    return [
+        next_seen(start_drive(vehicle, filters, rate, window), segment.signals.rows())
+        for segment in to_grid(signals, rate)
+    ]
 
 
 def make_filters(entries: Sequence[FilterSettings], vehicle: Vehicle) -> list[KernelFilter]:

@@ -6,26 +6,18 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-import numpy as np
 import pandas as pd
 
 from crosscomb.errors import UsageError
 from crosscomb.files import refuse_overwriting, write_text
-from crosscomb.filters.base import Inputs, KernelFilter, make_inputs
-from crosscomb.filters.catalogue import CATALOGUE
 from crosscomb.logs.channel_map import ChannelMap
-from crosscomb.logs.grid import Segment, to_grid
 from crosscomb.logs.plausibility import check_units
 from crosscomb.logs.prepare import complete
 from crosscomb.logs.read import log_name, read_log
 from crosscomb.models.vehicle import Vehicle, load_vehicle
-from crosscomb.run.drive import next_seen, start_drive
 from crosscomb.run.stream import LogEstimate, Stream, advance, make_plan, to_estimate
 from crosscomb.run.tuned import Tuned
-from crosscomb.selection.answer import Answer, select, start_selection
 from crosscomb.selection.artefact import Artefact
-from crosscomb.selection.features import all_features, make_memory
-from crosscomb.selection.windows import WindowSettings
 from crosscomb.signals import REFERENCES, Signals
 
 OUTPUTS = (
@@ -43,83 +35,13 @@ GENERIC = "generic_compact"
 """Shipped vehicle that stands in for an unknown car."""
 
 
-@dataclass(frozen=True)
-class FilterRun:
-    """What the filters made of one segment, at the working rate.
-
-    Attributes
-    ----------
-    segment : Segment
-    beta, beta_std, nis : (n, filters) [rad], [rad], [-]
-    innovations : list of (n, m)
-        Of each filter.
-    features : (n, f) float32
-        Of the window that ends at each sample.
-    inputs : Inputs
-        What the filters saw.
-    vehicle : Vehicle
-    """
-
-    segment: Segment
-    beta: np.ndarray
-    beta_std: np.ndarray
-    nis: np.ndarray
-    innovations: list[np.ndarray]
-    features: np.ndarray
-    inputs: Inputs
-    vehicle: Vehicle
-
-    def answer(self, artefact: Artefact) -> Answer:
-        """Let the artefact's selector make one answer of its filters."""
-        selection = start_selection(artefact, self.vehicle)
-        told = self.beta, self.beta_std, self.nis, self.innovations
-        return select(selection, self.inputs.samples, *told, self.features)
-
-    def all_features(self) -> np.ndarray:
-        """All features of every sample ``(n, f) float32``, see `crosscomb.selection.features`."""
-        told = self.beta, self.beta_std, self.nis, self.innovations
-        memory = make_memory(self.beta.shape[1], sum(each.shape[1] for each in self.innovations))
-        return all_features(self.inputs.samples, *told, self.vehicle, self.inputs.dt, memory)
-
-    def only(self, members: Sequence[int]) -> FilterRun:
-        """Keep some of the filters, in the order given."""
-        chosen = list(members)
-        return replace(
-            self,
-            beta=self.beta[:, chosen],
-            beta_std=self.beta_std[:, chosen],
-            nis=self.nis[:, chosen],
-            innovations=[self.innovations[member] for member in chosen],
-        )
-
-
-def run_filters(
-    signals: Signals, vehicle: Vehicle, filters: Sequence[KernelFilter], rate: float, window: WindowSettings
-) -> list[FilterRun]:
-    """Run filters over a log and cut its windows: where training starts. Run time goes the same way, with a switch.
-
-    Parameters
-    ----------
-    signals : Signals
-        Completed by `crosscomb.logs.prepare.complete`.
-    vehicle : Vehicle
-    filters : sequence of KernelFilter
-    rate : float [Hz]
-    window : WindowSettings
-    """
-    runs = []
-    for segment in to_grid(signals, rate):
-        seen = next_seen(start_drive(vehicle, filters, rate, window), segment.signals.rows())
-        runs.append(FilterRun(segment, *seen[1:], seen.inputs, vehicle))
-    return runs
-
-
 def estimate_log(
     signals: Signals,
     vehicle: Vehicle,
     artefact: Artefact,
     filters: Sequence[str] | None = None,
     tuned: Tuned | None = None,
+    extras: bool = False,
 ) -> LogEstimate:
     """Estimate the sideslip angle at each row of a log.
 
@@ -136,57 +58,22 @@ def estimate_log(
         and the others stand beside it; else the first named one is the answer, and nothing is switched.
     tuned : Tuned, optional
         Noise that takes the place of the filters' own.
+    extras : bool
+        Also give what the estimators tell beside beta: innovations, forces, yaw moment, friction in use, tyre
+        parameters, shares.
+
+    Raises
+    ------
+    UsageError
+        Extras are wanted, and none of the estimators tells more than beta.
     """
     signals = complete(signals, vehicle)
-    plan = make_plan(vehicle, artefact, filters, tuned)
+    plan = make_plan(vehicle, artefact, filters, tuned, extras)
     if not plan.switched:
         needed = ", ".join(artefact.filter_names)
         note = f"{plan.names[0]} is the answer: the selector needs all of {needed}"
         signals = replace(signals, notes=(*signals.notes, note))
     return to_estimate(plan, signals, advance(Stream(plan), signals.rows()))
-
-
-def extra_outputs(
-    signals: Signals,
-    vehicle: Vehicle,
-    artefact: Artefact,
-    filters: Sequence[str] | None = None,
-    tuned: Tuned | None = None,
-) -> pd.DataFrame:
-    """What the estimators tell beside beta: innovations, forces, yaw moment, friction in use, tyre parameters, shares.
-
-    Parameters
-    ----------
-    signals, vehicle, artefact, filters, tuned
-        As in `estimate_log`.
-
-    Returns
-    -------
-    pandas.DataFrame
-        At each row t [s] and a column ``<filter> <quantity> [unit]`` for each.
-
-    Raises
-    ------
-    UsageError
-        None of the estimators tells more than beta.
-    """
-    plan = make_plan(vehicle, artefact, filters, tuned)
-    telling = {name: made for name, made in zip(plan.names, plan.filters, strict=True) if made.extras}
-    if not telling:
-        others = [name for name, entry in CATALOGUE.items() if entry.load().extras]
-        raise UsageError(
-            f"--extras: {', '.join(plan.names)}: no more than beta to tell: name by --filters one of "
-            f"{', '.join(others)}"
-        )
-    signals, parts = complete(signals, vehicle), []
-    for segment in to_grid(signals, artefact.rate):
-        inputs = make_inputs(segment.signals, vehicle, 1.0 / artefact.rate)
-        columns = {"t": signals.t[segment.start_row : segment.stop_row]}
-        for name, made in telling.items():
-            extra = made.run(inputs).extra
-            columns |= {f"{name} {key}": values[segment.newest] for key, values in extra.items()}
-        parts.append(pd.DataFrame(columns))
-    return pd.concat(parts, ignore_index=True)
 
 
 @dataclass(frozen=True)

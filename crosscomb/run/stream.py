@@ -13,16 +13,18 @@ import pandas as pd
 
 from crosscomb.errors import UsageError
 from crosscomb.filters.base import KernelFilter
+from crosscomb.filters.catalogue import CATALOGUE
 from crosscomb.logs.grid import MAX_GAP, Grid, next_points, start_grid, stretch_starts
 from crosscomb.logs.prepare import Completion, next_rows
 from crosscomb.models.vehicle import Vehicle
-from crosscomb.run.drive import Drive, Seen, make_filters, name_filters, next_seen, start_drive
+from crosscomb.run.drive import Drive, make_filters, name_filters, next_seen, start_drive
 from crosscomb.run.handling import STATES, Handling, HandlingState, handling_of, start_handling
 from crosscomb.run.motion import Motion, PointVelocity, motion_of, point_velocity, start_motion, velocity_at
 from crosscomb.run.status import INVALID, TEXTS, start_ages, status_codes
 from crosscomb.run.tuned import Tuned, with_tuned
 from crosscomb.selection.answer import Answer, Selection, select, start_selection
 from crosscomb.selection.artefact import Artefact
+from crosscomb.selection.seen import Seen
 from crosscomb.signals import COLUMN, MIN_SPEED, UNITS, Signals
 
 _T = COLUMN["t"]
@@ -47,6 +49,8 @@ class LogEstimate:
         Speed and curvature, from which `at` makes the velocity of any point of the car.
     handling : Handling
         Slip angles of both axles and whether the car understeers or oversteers.
+    extras : dict of str to (n,)
+        What the filters tell beside beta, by ``<filter> <quantity> [unit]``; empty where nobody asked.
     """
 
     signals: Signals
@@ -57,6 +61,7 @@ class LogEstimate:
     filters: dict[str, np.ndarray]
     motion: Motion
     handling: Handling
+    extras: dict[str, np.ndarray]
 
     def table(self) -> pd.DataFrame:
         """Columns of the estimate file: t, beta, beta_std, active, status and beta of each filter."""
@@ -75,6 +80,10 @@ class LogEstimate:
     def handling_table(self) -> pd.DataFrame:
         """Columns of the handling file: t, slip_front, slip_rear, understeer and state."""
         return pd.DataFrame({"t": self.signals.t, **self.handling._asdict()})
+
+    def extras_table(self) -> pd.DataFrame:
+        """Columns of the file of what the filters tell beside beta: t and each of `extras`."""
+        return pd.DataFrame({"t": self.signals.t, **self.extras})
 
     def handling_shares(self) -> dict[str, float]:
         """Share of the time above `MIN_SPEED` in each state of handling; all 0 where the car never was that fast."""
@@ -123,7 +132,9 @@ class StreamEstimate(NamedTuple):
 class Answers(NamedTuple):
     """Answers at some grid points or rows, packed: to cut and join two tables is cheap, also for a single sample."""
 
-    numbers: np.ndarray  # (n, 8 + filters) beta, beta_std, motion, slips and understeer, beta of each filter
+    numbers: (
+        np.ndarray
+    )  # (n, 8 + filters + e) beta, beta_std, motion, slips, understeer, beta of each filter, extras
     codes: np.ndarray  # (n, 3) int: active filter, status, state of handling
 
 
@@ -145,17 +156,28 @@ class Plan:
     filters: list[KernelFilter]
     members: list[int]
     switched: bool
+    extras: list[str]  # names of what the filters tell beside beta, where somebody asked
 
 
 def make_plan(
-    vehicle: Vehicle, artefact: Artefact, filters: Sequence[str] | None = None, tuned: Tuned | None = None
+    vehicle: Vehicle,
+    artefact: Artefact,
+    filters: Sequence[str] | None = None,
+    tuned: Tuned | None = None,
+    extras: bool = False,
 ) -> Plan:
     """Make the filters of a run; see `crosscomb.run.estimate.estimate_log` for what the arguments mean."""
     names = list(filters or artefact.filter_names)
     made = make_filters(with_tuned(name_filters(names, artefact), tuned), vehicle)
     switched = all(name in names for name in artefact.filter_names)
     members = [names.index(name) for name in (artefact.filter_names if switched else names[:1])]
-    return Plan(vehicle, artefact, names, made, members, switched)
+    told = [f"{name} {extra}" for name, one in zip(names, made, strict=True) for extra in one.extras]
+    if extras and not told:
+        others = [name for name, entry in CATALOGUE.items() if entry.load().extras]
+        raise UsageError(
+            f"--extras: {', '.join(names)}: no more than beta to tell: name by --filters one of {', '.join(others)}"
+        )
+    return Plan(vehicle, artefact, names, made, members, switched, told if extras else [])
 
 
 @dataclass
@@ -178,8 +200,8 @@ def start_stretch(plan: Plan, t_start: float) -> Stretch:
     return Stretch(
         plan,
         start_grid(t_start, rate, list(UNITS)),
-        start_drive(plan.vehicle, plan.filters, rate, window),
-        start_selection(plan.artefact, plan.vehicle),
+        start_drive(plan.vehicle, plan.filters, rate, window, bool(plan.extras)),
+        start_selection(plan.artefact),
     )
 
 
@@ -201,9 +223,7 @@ def _answers_at(stretch: Stretch, seen: Seen) -> Answers:
     """Answers at grid points: selection, status, motion and handling."""
     plan, samples, dt = stretch.plan, seen.inputs.samples, seen.inputs.dt
     if plan.switched:
-        beta, beta_std, nis = (column[:, plan.members] for column in (seen.beta, seen.beta_std, seen.nis))
-        innovations = [seen.innovations[member] for member in plan.members]
-        answer = select(stretch.selection, samples, beta, beta_std, nis, innovations, seen.features)
+        answer = select(stretch.selection, seen.only(plan.members))
     else:
         nothing = np.zeros(len(samples), dtype=np.int64)
         answer = Answer(seen.beta[:, 0], seen.beta_std[:, 0], nothing, nothing > 0, nothing)
@@ -214,7 +234,7 @@ def _answers_at(stretch: Stretch, seen: Seen) -> Answers:
         stretch.handling, samples, answer.beta, answer.beta_std, motion, valid, plan.vehicle, dt
     )
     *slips, state = handling
-    numbers = np.column_stack([answer.beta, answer.beta_std, *motion, *slips, seen.beta])
+    numbers = np.column_stack([answer.beta, answer.beta_std, *motion, *slips, seen.beta, *seen.extras])
     return Answers(numbers, np.column_stack([np.array(plan.members)[answer.active], status, state]))
 
 
@@ -241,7 +261,7 @@ def advance(stream: Stream, rows: np.ndarray) -> Answers:
 
 def to_estimate(plan: Plan, signals: Signals, answers: Answers) -> LogEstimate:
     """Put names to the answers at the rows of a completed log."""
-    beta, beta_std, vx, curvature, doubt, front, rear, understeer, *filters = answers.numbers.T.copy()
+    beta, beta_std, vx, curvature, doubt, front, rear, understeer, *others = answers.numbers.T.copy()
     active, status, state = answers.codes.T
     return LogEstimate(
         signals,
@@ -249,9 +269,10 @@ def to_estimate(plan: Plan, signals: Signals, answers: Answers) -> LogEstimate:
         beta_std,
         np.array(plan.names)[active],
         TEXTS[status],
-        dict(zip(plan.names, filters, strict=True)),
+        dict(zip(plan.names, others[: len(plan.names)], strict=True)),
         Motion(vx, curvature, doubt),
         Handling(front, rear, understeer, np.array(STATES, dtype=object)[state]),
+        dict(zip(plan.extras, others[len(plan.names) :], strict=True)),
     )
 
 

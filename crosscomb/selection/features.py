@@ -20,6 +20,7 @@ from numba import njit
 from crosscomb.filters import columns as at
 from crosscomb.filters.catalogue import CATALOGUE
 from crosscomb.models.vehicle import Vehicle
+from crosscomb.selection.seen import Seen
 from crosscomb.signals import MIN_SPEED
 
 MEMORIES = (0.0, 0.1, 0.4, 1.5, 5.0)
@@ -272,37 +273,25 @@ def memory_gains(dt: float) -> np.ndarray:
     return np.array([1.0 if time == 0.0 else -math.expm1(-dt / time) for time in times])
 
 
-def all_features(
-    samples: np.ndarray,
-    beta: np.ndarray,
-    beta_std: np.ndarray,
-    nis: np.ndarray,
-    innovations: Sequence[np.ndarray],
-    vehicle: Vehicle,
-    dt: float,
-    memory: Memory,
-) -> np.ndarray:
+def all_features(seen: Seen, memory: Memory | None = None) -> np.ndarray:
     """Features of the next samples of a drive.
 
     Parameters
     ----------
-    samples : (n, 17)
-        As in `crosscomb.filters.base.Inputs`.
-    beta, beta_std, nis : (n, filters) [rad], [rad], [-]
-    innovations : sequence of (n, m)
-        Of each filter.
-    vehicle : Vehicle
-    dt : float [s]
-    memory : Memory
-        Changed in place.
+    seen : Seen
+    memory : Memory, optional
+        Changed in place; without it the drive begins here.
 
     Returns
     -------
     (n, features) float32
     """
+    samples = seen.inputs.samples
+    innovations = np.ascontiguousarray(np.hstack(seen.innovations))
+    memory = memory or make_memory(seen.beta.shape[1], innovations.shape[1])
     out = np.empty((len(samples), memory.means.size), dtype=np.float32)
     _features_run(
-        memory, samples, np.ascontiguousarray(beta), np.ascontiguousarray(beta_std), np.ascontiguousarray(nis),
-        np.ascontiguousarray(np.hstack(innovations)), feature_car(vehicle), memory_gains(dt), out,
+        memory, samples, np.ascontiguousarray(seen.beta), np.ascontiguousarray(seen.beta_std),
+        np.ascontiguousarray(seen.nis), innovations, feature_car(seen.vehicle), memory_gains(seen.inputs.dt), out,
     )  # fmt: skip
     return out

@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from crosscomb.filters.catalogue import make_filter
-from crosscomb.run.estimate import FilterRun, run_filters
+from crosscomb.run.drive import make_filters, run_filters
 from crosscomb.selection.artefact import FilterSettings
+from crosscomb.selection.seen import Seen
 from crosscomb.selection.windows import WindowSettings
 from crosscomb.training.metrics import countable
 from crosscomb.training.parallel import in_parallel
@@ -24,21 +24,21 @@ class BankRun:
     Attributes
     ----------
     recording : Recording
-    runs : list of FilterRun
-        One per segment of the log.
+    runs : list of Seen
+        One per stretch of the log without a long gap.
     beta_ref : (n,) [rad]
-        Ground truth over all segments.
+        Ground truth over all stretches.
     counted : (n,) bool
         Samples that are scored.
     """
 
     recording: Recording
-    runs: list[FilterRun]
+    runs: list[Seen]
     beta_ref: np.ndarray
     counted: np.ndarray
 
-    def joined(self, part: Callable[[FilterRun], np.ndarray]) -> np.ndarray:
-        """Join what `part` gives of each segment over all segments."""
+    def joined(self, part: Callable[[Seen], np.ndarray]) -> np.ndarray:
+        """Join what `part` gives of each stretch over all of them."""
         return np.concatenate([part(run) for run in self.runs])
 
     def only(self, members: Sequence[int]) -> BankRun:
@@ -58,10 +58,10 @@ def run_one(
     recording: Recording, filters: Sequence[FilterSettings], rate: float, window: WindowSettings
 ) -> BankRun:
     """Run all filters on one recording."""
-    made = [make_filter(entry.name, recording.vehicle, entry.settings) for entry in filters]
+    made = make_filters(filters, recording.vehicle)
     runs = run_filters(recording.signals, recording.vehicle, made, rate, window)
-    beta_ref = np.concatenate([run.segment.signals.beta_ref for run in runs])
-    vx = np.concatenate([run.segment.signals.column("vx") for run in runs])
+    beta_ref = np.concatenate([run.beta_ref for run in runs])
+    vx = np.concatenate([run.column("vx") for run in runs])
     return BankRun(recording, runs, beta_ref, countable(beta_ref, vx))
 
 

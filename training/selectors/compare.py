@@ -161,9 +161,8 @@ def with_windows(bank: BankRun, settings: WindowSettings) -> BankRun:
     """The same run seen through other windows."""
     runs = []
     for run in bank.runs:
-        signals = run.segment.signals
-        features = window_features(signals.column("ay"), signals.column("yaw_rate"), settings)
-        runs.append(replace(run, features=features))
+        windows = window_features(run.column("ay"), run.column("yaw_rate"), settings)
+        runs.append(replace(run, windows=windows))
     return replace(bank, runs=runs)
 
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from crosscomb.selection.answer import Answer
+from crosscomb.selection.answer import Answer, select, start_selection
 from crosscomb.selection.artefact import Artefact
 from crosscomb.training.metrics import coverage, score
 from crosscomb.training.selectors.bank import BankRun
@@ -91,7 +91,7 @@ def evaluate(banks: Sequence[BankRun], artefact: Artefact) -> Evaluation:
     confusion, lost = np.zeros((classes, classes), dtype=np.int64), 0.0
     bands = np.zeros((len(BANDS) - 1, classes + 4))
     for bank in banks:
-        answers = [run.answer(artefact) for run in bank.runs]
+        answers = [select(start_selection(artefact), run) for run in bank.runs]
         estimates = estimates_of(bank, answers, artefact)
         rows[bank.recording.name] = evaluate_one(bank, estimates, answers, artefact)
         bands += squares_by_band(bank, estimates)
@@ -144,7 +144,7 @@ def score_filters(banks: Sequence[BankRun], names: Sequence[str]) -> pd.DataFram
 def evaluate_one(
     bank: BankRun, estimates: dict[str, np.ndarray], answers: Sequence[Answer], artefact: Artefact
 ) -> dict[tuple[str, str], float]:
-    """Scores of one recording [deg], from the answers to its segments."""
+    """Scores of one recording [deg], from the answers to its stretches."""
     beta = estimates[SWITCH]
     beta_std = np.concatenate([answer.beta_std for answer in answers])
     active = np.concatenate([answer.active for answer in answers])
@@ -169,8 +169,7 @@ def confusion_of(bank: BankRun, answers: Sequence[Answer], artefact: Artefact) -
     classes = len(artefact.filters)
     counts, lost = np.zeros((classes, classes), dtype=np.int64), 0.0
     for run, answer in zip(bank.runs, answers, strict=True):
-        signals = run.segment.signals
-        ends = window_ends(signals.beta_ref, signals.column("vx"), artefact.window)
+        ends = window_ends(run.beta_ref, run.column("vx"), artefact.window)
         windows, wanted = label_run(run, artefact.window), answer.decision[ends]
         np.add.at(counts, (windows.label, wanted), 1)
         lost += float(np.degrees(windows.regret(wanted)).sum())

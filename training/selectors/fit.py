@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from crosscomb.models.vehicle import Vehicle
+from crosscomb.selection.answer import select, start_selection
 from crosscomb.selection.artefact import Artefact, FilterSettings
 from crosscomb.selection.choice import Choice
 from crosscomb.selection.correction import Correction
@@ -227,7 +228,7 @@ class Fitter:
 
     def _rmse(self, member: int, artefact: Artefact) -> float:
         bank = self.banks[member]
-        beta = np.concatenate([run.answer(artefact).beta for run in bank.runs])
+        beta = np.concatenate([select(start_selection(artefact), run).beta for run in bank.runs])
         return score(beta, bank.beta_ref, bank.counted).rmse
 
     def _choice(self, members: Sequence[int]) -> Choice:
@@ -240,7 +241,7 @@ class Fitter:
         for members, artefact in left_out:
             plain = artefact.model_copy(update={"trust": Trust()})
             for bank in (self.banks[i] for i in members):
-                answers = [run.answer(plain) for run in bank.runs]
+                answers = [select(start_selection(plain), run) for run in bank.runs]
                 every = np.flatnonzero(bank.counted)[::THINNING]
                 error = np.concatenate([answer.beta for answer in answers])[every] - bank.beta_ref[every]
                 beta_std = np.concatenate([answer.beta_std for answer in answers])[every]

@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from crosscomb.run.estimate import FilterRun
+from crosscomb.selection.features import all_features
+from crosscomb.selection.seen import Seen
 from crosscomb.selection.windows import WindowSettings
 from crosscomb.signals import MIN_SPEED
 from crosscomb.training.metrics import countable
@@ -93,40 +94,38 @@ def window_ends(beta_ref: np.ndarray, vx: np.ndarray, settings: WindowSettings) 
     return ends[judged[ends - settings.length + 1]]
 
 
-def label_run(run: FilterRun, settings: WindowSettings, everything: bool = False) -> Windows:
-    """Cut and label the windows of one segment.
+def label_run(run: Seen, settings: WindowSettings, everything: bool = False) -> Windows:
+    """Cut and label the windows of one stretch.
 
     Parameters
     ----------
-    run : FilterRun
+    run : Seen
     settings : WindowSettings
     everything : bool
         Also give all features at the end of each window.
     """
-    signals = run.segment.signals
-    beta_ref = signals.beta_ref
-    ends = window_ends(beta_ref, signals.column("vx"), settings)
+    beta_ref = run.beta_ref
+    ends = window_ends(beta_ref, run.column("vx"), settings)
     squared = (run.beta - beta_ref[:, None]) ** 2
     members = ends[:, None] - np.arange(settings.length)[None, :]
     rmse = np.sqrt(np.nanmean(squared[members], axis=1))
-    features = run.all_features()[ends] if everything else np.empty((len(ends), 0), dtype=np.float32)
-    return Windows(run.features[ends], rmse, features, run.beta[ends], beta_ref[ends])
+    features = all_features(run)[ends] if everything else np.empty((len(ends), 0), dtype=np.float32)
+    return Windows(run.windows[ends], rmse, features, run.beta[ends], beta_ref[ends])
 
 
 def concatenate(parts: list[Windows]) -> Windows:
-    """Put the windows of several segments into one table."""
+    """Put the windows of several stretches into one table."""
     return Windows(*(np.concatenate([getattr(part, name) for part in parts]) for name in WINDOW_COLUMNS))
 
 
-def oracle_beta(run: FilterRun, length: int) -> np.ndarray:
+def oracle_beta(run: Seen, length: int) -> np.ndarray:
     """Estimate of a selector that knows the truth: the best filter of each window ``(n,) [rad]``.
 
     The log is cut into windows of `length` samples side by side; the bound for what switching at the pace of
     windows can reach.
     """
-    signals = run.segment.signals
-    beta_ref = signals.beta_ref
-    counted = countable(beta_ref, signals.column("vx"))
+    beta_ref = run.beta_ref
+    counted = countable(beta_ref, run.column("vx"))
     squared = np.where(counted[:, None], (run.beta - beta_ref[:, None]) ** 2, 0.0)
     starts = np.arange(0, len(squared), length)
     best = np.argmin(np.add.reduceat(squared, starts, axis=0), axis=1)
