@@ -14,9 +14,8 @@ import pytest
 from crosscomb.errors import UsageError
 from crosscomb.files import write_file
 from crosscomb.models.vehicle import Vehicle, load_vehicle
-from crosscomb.run.estimate import choose_vehicle, estimate_log, open_logs, write_estimate
+from crosscomb.run.estimate import LogEstimate, choose_vehicle, estimate_log, open_logs, write_estimate
 from crosscomb.run.status import DEGRADED, INVALID, LOW_SPEED, TEXTS
-from crosscomb.run.stream import LogEstimate
 from crosscomb.selection.artefact import Artefact, load_artefact, save_artefact
 from crosscomb.signals import Signals, make_signals
 from crosscomb.training.simulation.simulate import simulate_log

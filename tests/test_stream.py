@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 from crosscomb.errors import UsageError
 from crosscomb.logs.read import read_log
 from crosscomb.models.vehicle import Vehicle, load_vehicle
-from crosscomb.run.estimate import choose_vehicle, estimate_log
-from crosscomb.run.stream import LogEstimate, StreamEstimate, StreamingEstimator
+from crosscomb.run.estimate import LogEstimate, choose_vehicle, estimate_log
+from crosscomb.run.stream import StreamEstimate, StreamingEstimator
 from crosscomb.selection.artefact import Artefact, load_artefact
 from crosscomb.signals import UNITS, Signals, make_signals
 from crosscomb.training.simulation.simulate import simulate_log

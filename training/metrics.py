@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from crosscomb.run.stream import LogEstimate
+from crosscomb.run.estimate import LogEstimate
 from crosscomb.signals import MIN_SPEED
 
 

@@ -18,8 +18,8 @@ from matplotlib.patches import Patch
 
 from crosscomb.files import write_file, write_text
 from crosscomb.report.tree_view import tree_figure, tree_text
+from crosscomb.run.estimate import LogEstimate
 from crosscomb.run.handling import STATES
-from crosscomb.run.stream import LogEstimate
 from crosscomb.signals import MIN_SPEED
 
 if TYPE_CHECKING:
@@ -104,7 +104,7 @@ def extras_figure(table: pd.DataFrame, title: str) -> Figure:
     Parameters
     ----------
     table : pandas.DataFrame
-        As of `crosscomb.run.stream.LogEstimate.extras_table`.
+        As of `crosscomb.run.estimate.LogEstimate.extras_table`.
     title : str
     """
     told = [str(column).partition(" ") for column in table.columns.drop("t")]

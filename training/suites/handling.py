@@ -7,8 +7,8 @@ import pandas as pd
 
 from crosscomb.logs.prepare import complete
 from crosscomb.models.vehicle import Vehicle
+from crosscomb.run.estimate import LogEstimate
 from crosscomb.run.handling import STATES, axle_slips
-from crosscomb.run.stream import LogEstimate
 from crosscomb.signals import MIN_SPEED, Signals
 
 CLEAR = np.radians(3.0)
