@@ -80,6 +80,11 @@ def versions() -> dict[str, str]:
     return found
 
 
+def existing_files(*paths: str | Path | None) -> list[Path]:
+    """Those that are files: a vehicle may also be the name of a shipped one."""
+    return [Path(path) for path in paths if path is not None and Path(path).is_file()]
+
+
 def run_record(command: str, settings: dict[str, Any], inputs: Iterable[Path]) -> dict[str, Any]:
     """What a run was made of: settings, versions and the hash of each input."""
     return {

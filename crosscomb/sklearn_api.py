@@ -17,9 +17,10 @@ from sklearn.utils.validation import check_is_fitted, validate_data
 
 from crosscomb.errors import UsageError
 from crosscomb.filters.catalogue import DEFAULT_FILTERS
+from crosscomb.logs.intake import require_plausible
 from crosscomb.logs.prepare import complete
 from crosscomb.models.vehicle import Vehicle, load_vehicle
-from crosscomb.run.estimate import estimate_log, require_plausible
+from crosscomb.run.estimate import estimate_log
 from crosscomb.selection.artefact import Artefact
 from crosscomb.selection.windows import WindowSettings
 from crosscomb.signals import Signals, make_signals

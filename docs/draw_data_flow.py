@@ -24,7 +24,7 @@ FOLDERS = {
 LEFT_OUT = {"errors", "files"}
 """Rooms that nearly all others import: their arrows would say nothing."""
 
-PARTS_OF_SELECTION = {"windows": "windows", "features": "windows", "switch": "switch"}
+PARTS_OF_SELECTION = {"windows": "windows", "features": "windows", "seen": "windows", "switch": "switch"}
 """Modules of `selection` that are stations of their own; the others are the selector."""
 
 WIDTH, HEIGHT = 1400, 806

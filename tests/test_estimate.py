@@ -13,8 +13,10 @@ import pytest
 
 from crosscomb.errors import UsageError
 from crosscomb.files import write_file
+from crosscomb.logs.intake import choose_vehicle, open_logs
 from crosscomb.models.vehicle import Vehicle, load_vehicle
-from crosscomb.run.estimate import LogEstimate, choose_vehicle, estimate_log, open_logs, write_estimate
+from crosscomb.report.estimates import write_table
+from crosscomb.run.estimate import LogEstimate, estimate_log
 from crosscomb.run.status import DEGRADED, INVALID, LOW_SPEED, TEXTS
 from crosscomb.selection.artefact import Artefact, load_artefact, save_artefact
 from crosscomb.signals import Signals, make_signals
@@ -330,7 +332,7 @@ def test_made_columns_are_said(lively, car, artefact):
 
 def test_a_filter_file_row_is_written_exactly(lively, car, artefact, tmp_path):
     estimate = estimate_log(lively, car, artefact)
-    write_estimate(estimate, tmp_path / "x.estimate.csv")
+    write_table(estimate.table(), tmp_path / "x.estimate.csv")
     numbers = [name for name in estimate.table() if name not in ("active", "status")]
     back = pd.read_csv(tmp_path / "x.estimate.csv", converters=dict.fromkeys(numbers, float))
     pd.testing.assert_frame_equal(back, estimate.table(), check_dtype=False, check_exact=True)
@@ -345,31 +347,30 @@ def test_the_given_vehicle_wins_then_the_one_beside_then_the_artefact(car, artef
     given, beside, trained = (
         car.model_copy(update={"name": name}) for name in ("given", "beside", "trained")
     )
-    with_car = artefact.model_copy(update={"vehicle": trained})
     (tmp_path / "other").mkdir()
     given_file = write_vehicle(tmp_path / "other", given)
 
-    assert choose_vehicle(log, None, with_car) == (trained, "artefact", "")
-    generic, _, warning = choose_vehicle(log, None, artefact)
+    assert choose_vehicle(log, None, trained) == (trained, "artefact", "")
+    generic, _, warning = choose_vehicle(log, None, artefact.vehicle)
     assert generic == load_vehicle("generic_compact")
     assert str(log) in warning
     assert "--vehicle" in warning
     beside_file = write_vehicle(tmp_path, beside)
-    assert choose_vehicle(log, None, with_car)[0].name == "beside"
-    assert choose_vehicle(log, None, artefact)[1:] == (str(beside_file), "")
-    assert choose_vehicle(log, given_file, with_car)[0].name == "given"
-    assert choose_vehicle(log, "volvo_s90", with_car)[0] == load_vehicle("volvo_s90")
+    assert choose_vehicle(log, None, trained)[0].name == "beside"
+    assert choose_vehicle(log, None, artefact.vehicle)[1:] == (str(beside_file), "")
+    assert choose_vehicle(log, given_file, trained)[0].name == "given"
+    assert choose_vehicle(log, "volvo_s90", trained)[0] == load_vehicle("volvo_s90")
 
 
 def test_hand_wheel_only_needs_a_known_car(lively, car, artefact, write_log, write_vehicle, tmp_path):
     path = write_log(lively.frame.drop(columns="steer"), tmp_path / "log.csv")
     with pytest.raises(UsageError) as caught:
-        open_logs([path], artefact)
+        open_logs([path], artefact.vehicle)
     for word in (str(path), "steer_wheel", "--vehicle"):
         assert word in str(caught.value)
-    assert open_logs([path], artefact, "generic_compact")[0].vehicle.name == car.name
+    assert open_logs([path], artefact.vehicle, "generic_compact")[0].vehicle.name == car.name
     write_vehicle(tmp_path, car)
-    assert open_logs([path], artefact)[0].warnings == ()
+    assert open_logs([path], artefact.vehicle)[0].warnings == ()
 
 
 def test_the_vehicle_changes_the_answer(lively, car, artefact):
@@ -388,7 +389,7 @@ def test_two_logs_of_one_name_are_refused(lively, artefact, write_log, tmp_path)
     other = write_log(lively.frame, tmp_path / "a" / "log.csv.gz")
     for second in (tmp_path / "b" / "log.csv", other):
         with pytest.raises(UsageError, match="same name") as caught:
-            open_logs([tmp_path / "a" / "log.csv", second], artefact)
+            open_logs([tmp_path / "a" / "log.csv", second], artefact.vehicle)
         assert str(second) in str(caught.value)
 
 

@@ -6,7 +6,7 @@ import pytest
 
 from crosscomb.filters import columns as at
 from crosscomb.models.vehicle import load_vehicle
-from crosscomb.report.page import estimate_figure
+from crosscomb.report.pictures import estimate_figure
 from crosscomb.run.estimate import estimate_log
 from crosscomb.run.handling import (
     CONFIRM,

@@ -12,18 +12,10 @@ import pytest
 from matplotlib.figure import Figure
 
 from crosscomb.report import terminal
-from crosscomb.report.markdown import TITLE, markdown_table, score_rows, write_section
-from crosscomb.report.page import (
-    beside_artefact,
-    confusion_figure,
-    confusion_table,
-    estimate_figure,
-    metrics_json,
-    plot_estimate,
-    row_shares,
-    training_page,
-    write_training,
-)
+from crosscomb.report.markdown import TITLE, markdown_table, row_shares, score_rows, write_section
+from crosscomb.report.page import training_page
+from crosscomb.report.pictures import confusion_figure, estimate_figure, save_figure
+from crosscomb.report.training import beside_artefact, confusion_table, metrics_json, write_training
 from crosscomb.run.estimate import estimate_log
 from crosscomb.selection.artefact import load_artefact
 from crosscomb.signals import make_signals
@@ -148,8 +140,8 @@ def test_the_picture_shows_beta_every_filter_and_the_reference(simulated, car, t
         np.testing.assert_allclose(lines[name], np.degrees(estimate.filters[name]))
     moving = simulated[2].column("vx") > 3.0
     np.testing.assert_allclose(lines["reference"][moving], np.degrees(simulated[2].beta_ref[moving]))
-    plot_estimate(estimate, tmp_path / "a.png", "log")
-    plot_estimate(estimate, tmp_path / "b.png", "log")
+    save_figure(estimate_figure(estimate, "log"), tmp_path / "a.png")
+    save_figure(estimate_figure(estimate, "log"), tmp_path / "b.png")
     assert pixels((tmp_path / "a.png").read_bytes())[0] > 800
     assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
 
@@ -163,7 +155,7 @@ def test_any_log_can_be_drawn_without_a_reference(simulated, car, tmp_path, chan
     estimate = estimate_log(make_signals(frame, "log"), car, load_artefact())
     figure = estimate_figure(estimate, "log")
     assert "reference" not in lines_of(figure)
-    plot_estimate(estimate, tmp_path / "a.png", "log")
+    save_figure(estimate_figure(estimate, "log"), tmp_path / "a.png")
 
 
 def test_a_section_is_kept_in_its_place(tmp_path):

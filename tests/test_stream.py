@@ -10,9 +10,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from crosscomb.errors import UsageError
+from crosscomb.logs.intake import choose_vehicle
 from crosscomb.logs.read import read_log
 from crosscomb.models.vehicle import Vehicle, load_vehicle
-from crosscomb.run.estimate import LogEstimate, choose_vehicle, estimate_log
+from crosscomb.run.estimate import LogEstimate, estimate_log
 from crosscomb.run.stream import StreamEstimate, StreamingEstimator
 from crosscomb.selection.artefact import Artefact, load_artefact
 from crosscomb.signals import UNITS, Signals, make_signals
@@ -137,7 +138,7 @@ def test_real_logs_live(artefact, data_dir: Path, name):
     path = data_dir / name
     log = read_log(path)
     log = replace(log, frame=log.frame.iloc[:1000])
-    car, _, _ = choose_vehicle(path, None, artefact)
+    car, _, _ = choose_vehicle(path, None, artefact.vehicle)
     whole = estimate_log(log, car, artefact)
     live = StreamingEstimator(car, artefact)
     assert_same(of_samples(step_through(live, log)), everything(whole).drop(columns=["steer", "vx", "ax"]))

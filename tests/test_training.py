@@ -11,7 +11,7 @@ import pytest
 
 from crosscomb.errors import UsageError
 from crosscomb.models.vehicle import Vehicle, load_vehicle
-from crosscomb.report.page import metrics_json
+from crosscomb.report.training import metrics_json
 from crosscomb.run.estimate import estimate_log
 from crosscomb.selection.answer import select, start_selection
 from crosscomb.selection.artefact import load_artefact, save_artefact

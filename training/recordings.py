@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,10 +12,10 @@ from crosscomb.errors import UsageError
 from crosscomb.filters.base import Inputs, make_inputs
 from crosscomb.logs.channel_map import ChannelMap
 from crosscomb.logs.grid import to_grid
+from crosscomb.logs.intake import require_plausible
 from crosscomb.logs.prepare import complete
 from crosscomb.logs.read import log_name, read_log
 from crosscomb.models.vehicle import Vehicle, load_vehicle
-from crosscomb.run.estimate import require_plausible
 from crosscomb.signals import Signals
 from crosscomb.training.metrics import countable
 
@@ -156,6 +156,12 @@ def read_recordings(
             recordings.append(Recording(prefix + log_name(path), path, car, signals))
     _require_unique([recording.name for recording in recordings], folder)
     return recordings, notes
+
+
+def files_of(recordings: Sequence[Recording], vehicle: str | Path | None = None) -> list[Path]:
+    """Files that recordings were read from: vehicle files beside the logs, unless one was given, then the logs."""
+    cars = [] if vehicle else sorted({recording.path.with_name("vehicle.toml") for recording in recordings})
+    return [*cars, *(recording.path for recording in recordings)]
 
 
 def require_enough(recordings: list[Recording], folder: Path) -> None:

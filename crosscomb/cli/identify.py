@@ -29,20 +29,13 @@ def identify(
     ] = False,
 ) -> None:
     """Find a car's parameters and its sensors' errors in logs, each with an interval or a word why not."""
-    from crosscomb.files import refuse_overwriting, run_record, write_json, write_text
+    from crosscomb.files import existing_files, refuse_overwriting
     from crosscomb.logs.channel_map import load_map
     from crosscomb.logs.read import read_log
     from crosscomb.models.vehicle import load_vehicle
     from crosscomb.report import terminal
-    from crosscomb.report.identification import write_pictures
-    from crosscomb.training.identification.files import (
-        fitted_map,
-        fitted_text,
-        map_text,
-        motion_rows,
-        table_csv,
-        table_rows,
-    )
+    from crosscomb.report.identification import beside_vehicle, write_identification
+    from crosscomb.training.identification.files import motion_rows, table_rows
     from crosscomb.training.identification.identify import identify as find
     from crosscomb.training.recordings import find_places
 
@@ -61,10 +54,8 @@ def identify(
     paths = [path for _, logs in own for path in logs]
     if not paths:
         raise UsageError(f"{data_dir}: its sub-folders hold other cars: name one of them")
-    beside = [
-        output.with_suffix(end) for end in (".map.toml", ".csv", ".motion.png", ".tyres.png", ".run.json")
-    ]
-    inputs = [*paths, *(Path(given) for given in (vehicle, channel_map) if given and Path(given).is_file())]
+    beside = beside_vehicle(output)
+    inputs = [*paths, *existing_files(vehicle, channel_map)]
     refuse_overwriting(inputs, [output, *beside])
     with terminal.progress("reading", len(paths)) as advance:
         logs = []
@@ -74,13 +65,8 @@ def identify(
     result = find(logs, before, not without_truth)
     for name in result.left_out:
         terminal.warn(f"{name}: left aside, the car slides too much in it for its handling to show")
-    map_file, table_file, motion_file, tyre_file, record_file = beside
-    write_text(output, fitted_text(result))
-    write_text(map_file, map_text(fitted_map(result, base)))
-    write_text(table_file, table_csv(result))
-    write_pictures(result, motion_file, tyre_file)
     settings = {"vehicle": before.model_dump(), "map": channel_map, "without_truth": without_truth}
-    write_json(record_file, run_record("identify", settings, inputs))
+    write_identification(result, output, base, settings, inputs)
     terminal.show(
         f"{before.name}: {len(result.problem.traces)} of {len(logs)} logs with driving",
         ["parameter", "unit", "before", "after", "from (95 %)", "to", "word"],
@@ -93,4 +79,4 @@ def identify(
         motion_rows(result),
     )
     terminal.say(f"written: {output}, {', '.join(path.name for path in beside)}")
-    terminal.say(f"use both: crosscomb estimate LOG --vehicle {output} --map {map_file}")
+    terminal.say(f"use both: crosscomb estimate LOG --vehicle {output} --map {beside[0]}")

@@ -71,8 +71,3 @@ def place(point: str | None) -> tuple[float, float] | None:
     if not max(abs(x), abs(y)) <= FARTHEST:
         raise UsageError(f"--point {point}: lies outside the car: give metres from the centre of gravity")
     return x, y
-
-
-def existing_files(*paths: str | Path | None) -> list[Path]:
-    """Those that are files: a vehicle may also be the name of a shipped one."""
-    return [Path(path) for path in paths if path is not None and Path(path).is_file()]

@@ -13,7 +13,6 @@ from crosscomb.cli.options import (
     MapOption,
     SeedOption,
     VehicleOption,
-    existing_files,
     filter_names,
 )
 from crosscomb.errors import UsageError
@@ -43,13 +42,13 @@ def tune(
     jobs: JobsOption = 2,
 ) -> None:
     """Find noise settings from logs, and keep those that also help on logs they were not tuned on."""
-    from crosscomb.files import file_hash, refuse_overwriting, run_record, write_json
+    from crosscomb.files import existing_files, file_hash, refuse_overwriting, run_record, write_json
     from crosscomb.filters.catalogue import DEFAULT_FILTERS
     from crosscomb.logs.channel_map import load_map
     from crosscomb.report import terminal
     from crosscomb.report.tuning import beside_tuned, show_tuning, to_tuned, write_tuning
     from crosscomb.run.tuned import save_tuned
-    from crosscomb.training.recordings import find_places, read_recordings
+    from crosscomb.training.recordings import files_of, find_places, read_recordings
     from crosscomb.training.selectors.train import default_filters
     from crosscomb.training.tuning import tune as search
 
@@ -71,8 +70,7 @@ def tune(
     if len(recordings) < 2:
         kind = "recordings with ground truth (--by likelihood needs none)" if by == "error" else "recordings"
         raise UsageError(f"{data_dir}: {len(recordings)} {kind}, tuning needs two or more: add logs")
-    cars = [] if vehicle else sorted({r.path.with_name("vehicle.toml") for r in recordings})
-    inputs = [*existing_files(vehicle, channel_map), *cars, *(r.path for r in recordings)]
+    inputs = [*existing_files(vehicle, channel_map), *files_of(recordings, vehicle)]
     record_file = output.with_suffix(".run.json")
     refuse_overwriting(inputs, [output, record_file, *beside_tuned(output)])
     steps = search.searches(len(names), len(recordings), folds)

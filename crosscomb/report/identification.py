@@ -1,18 +1,21 @@
-"""Pictures of an identification: the motion before and after, and the tyre curves of both axles."""
+"""What `identify` writes, with pictures: the motion before and after, and the tyre curves of both axles."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from crosscomb.files import write_file
+from crosscomb.files import run_record, write_file, write_json, write_text
+from crosscomb.logs.channel_map import ChannelMap
 from crosscomb.models.magic_formula import magic_formula
 from crosscomb.models.tyres import rational_tyre
-from crosscomb.training.identification.files import rms
+from crosscomb.training.identification.files import fitted_map, fitted_text, map_text, rms, table_csv
 from crosscomb.training.identification.handling import shown_motion
 from crosscomb.training.identification.identify import Identification
 from crosscomb.training.identification.parameters import Fit
@@ -25,10 +28,39 @@ BEFORE, AFTER, MEASURED = "#d55e00", "#0072b2", "black"
 """Told apart by colour-blind eyes (Okabe and Ito)."""
 
 
-def write_pictures(result: Identification, motion_file: Path, tyre_file: Path) -> None:
-    """Draw and write both pictures."""
+def beside_vehicle(path: Path) -> list[Path]:
+    """Files that `write_identification` writes beside a vehicle file: channel map, table, two pictures, record."""
+    return [path.with_suffix(end) for end in (".map.toml", ".csv", ".motion.png", ".tyres.png", ".run.json")]
+
+
+def write_identification(
+    result: Identification,
+    path: Path,
+    base: ChannelMap | None,
+    settings: dict[str, Any],
+    inputs: Sequence[Path],
+) -> None:
+    """Write the vehicle file that was found and what belongs beside it.
+
+    Parameters
+    ----------
+    result : Identification
+    path : Path
+        Of the vehicle file.
+    base : ChannelMap, optional
+        That the logs were read with.
+    settings : dict
+        Of the run, for its record.
+    inputs : sequence of Path
+        Files that it read, for its record.
+    """
+    map_file, table_file, motion_file, tyre_file, record_file = beside_vehicle(path)
+    write_text(path, fitted_text(result))
+    write_text(map_file, map_text(fitted_map(result, base)))
+    write_text(table_file, table_csv(result))
     write_file(motion_file, partial(motion_figure(result).savefig, dpi=110))
     write_file(tyre_file, partial(tyre_figure(result).savefig, dpi=110))
+    write_json(record_file, run_record("identify", settings, inputs))
 
 
 def motion_figure(result: Identification) -> Figure:

@@ -52,6 +52,11 @@ def score_cells(rmse: np.ndarray, largest: np.ndarray) -> list[str]:
     return [f"{error:.2f} / {peak:.1f}" for error, peak in zip(rmse, largest, strict=True)]
 
 
+def row_shares(confusion: np.ndarray) -> np.ndarray:
+    """Share of each row's windows ``(filters, filters)``; a row without windows gets zeros."""
+    return confusion / np.maximum(confusion.sum(axis=1, keepdims=True), 1)
+
+
 WIDE = 10
 """More estimators than this stand as rows, the recordings as columns."""
 

@@ -12,14 +12,24 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from crosscomb.report.markdown import SPEED_HEADER, WIDE, number, score_rows, speed_rows, summary_rows
+from crosscomb.report.markdown import (
+    SPEED_HEADER,
+    WIDE,
+    number,
+    row_shares,
+    score_rows,
+    speed_rows,
+    summary_rows,
+)
 from crosscomb.signals import UNITS, Signals
 
 if TYPE_CHECKING:
     import pandas as pd
 
+    from crosscomb.report.estimates import Summary
     from crosscomb.training.metrics import Score
     from crosscomb.training.selectors.compare import Comparison
+    from crosscomb.training.selectors.train import Training
     from crosscomb.training.suites.benchmark import Benchmark
     from crosscomb.training.suites.speed import Speed
 
@@ -76,6 +86,14 @@ def show_scores(title: str, rmse: pd.DataFrame, largest: pd.DataFrame) -> None:
     show(title, ["RMSE / max [deg]", *map(str, rmse.columns)], score_rows(rmse, largest, summaries))
 
 
+def show_training(training: Training) -> None:
+    """Print the scores of a training."""
+    for part, evaluation in training.evaluations.items():
+        show_scores(f"{part}: {len(evaluation.table)} recordings", evaluation.rmse, evaluation.largest)
+        say(f"{part}: switch / best single filter ({evaluation.best_single}) = {evaluation.ratio:.3f}\n")
+    show_confusion(training.folds.confusion, training.artefact.filter_names)
+
+
 def show_benchmark(result: Benchmark) -> None:
     """Print the scores of a benchmark."""
     rmse, largest = result.evaluation.rmse, result.evaluation.largest
@@ -118,6 +136,16 @@ def show_comparison(comparison: Comparison) -> None:
     show_table("What leaks when windows are dealt out at random (default tree)", comparison.leakage)
 
 
+def show_summary(summary: Summary) -> None:
+    """Print what is said of estimates: notes, scores, and how the cars were handled."""
+    for note in summary.notes:
+        say(note)
+    if summary.scores:
+        show_log_scores(summary.scores)
+    for name, share in summary.shares.items():
+        say(f"{name}: {shares_text(share)} of the time above walking speed")
+
+
 def show_log_scores(scores: dict[str, dict[str, Score]]) -> None:
     """Print RMSE / largest error [deg] of each estimator on each log."""
     estimators = list(next(iter(scores.values())))
@@ -158,8 +186,9 @@ def show_signals(signals: Signals) -> None:
     say(f"not in the log: {', '.join(absent)}" if absent else "every known channel is there")
 
 
-def show_confusion(confusion: np.ndarray, shares: np.ndarray, names: Sequence[str]) -> None:
+def show_confusion(confusion: np.ndarray, names: Sequence[str]) -> None:
     """Print a confusion matrix with counts and row shares."""
+    shares = row_shares(confusion)
     rows = [
         [names[i], *(f"{confusion[i, j]} ({100 * shares[i, j]:.0f} %)" for j in range(len(names)))]
         for i in range(len(names))

@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from crosscomb.files import versions, write_file, write_text
 from crosscomb.report import terminal
 from crosscomb.report.markdown import markdown_table
-from crosscomb.report.page import COLOURS, save_figure
+from crosscomb.report.pictures import COLOURS, save_figure
 from crosscomb.run.tuned import Tuned, TunedNoise
 from crosscomb.training.tuning.scores import ERROR
 from crosscomb.training.tuning.tune import FilterTuning, Tuning

@@ -1,0 +1,100 @@
+"""The command `benchmark`: tables of accuracy and speed."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from crosscomb.cli.options import FiltersOption, JobsOption, SelectorFileOption, TunedOption, filter_names
+from crosscomb.errors import UsageError
+
+
+def benchmark(
+    suite: Annotated[str, typer.Argument(help="real, simulated, papers or speed.")] = "simulated",
+    data: Annotated[
+        Path | None, typer.Option("--data", help="Folder of real logs, for the suite real.")
+    ] = None,
+    selector_file: SelectorFileOption = None,
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", help="Markdown file to keep the tables in.")
+    ] = None,
+    jobs: JobsOption = 2,
+    filters: FiltersOption = None,
+    tuned: TunedOption = None,
+) -> None:
+    """Print accuracy and speed of all estimators."""
+    if suite == "speed":
+        _speed(filter_names(filters), output)
+        return
+    from crosscomb.report import terminal
+    from crosscomb.report.markdown import write_benchmark
+    from crosscomb.run.drive import name_filters
+    from crosscomb.run.tuned import load_tuned, require_used, with_tuned
+    from crosscomb.selection.artefact import load_artefact
+    from crosscomb.training.recordings import find_places
+    from crosscomb.training.suites import benchmark as suites
+
+    artefact = load_artefact(selector_file)
+    if suite == "papers":
+        _papers(output)
+        return
+    beside = name_filters(
+        [name for name in filter_names(filters) if name not in artefact.filter_names], artefact
+    )
+    if tuned is not None:
+        given = load_tuned(tuned)
+        require_used(given, [*artefact.filter_names, *(entry.name for entry in beside)], tuned)
+        beside = with_tuned(beside, given)
+        artefact = artefact.model_copy(update={"filters": with_tuned(artefact.filters, given)})
+    if suite == "real":
+        if data is None:
+            raise UsageError("benchmark real: needs the folder of the logs: give --data")
+        with terminal.progress("filtering", 2 * sum(len(logs) for _, logs in find_places(data))) as advance:
+            result = suites.benchmark_real(data, artefact, jobs, advance, beside)
+    elif suite == "simulated":
+        with terminal.progress("filtering", suites.SIMULATED_LOGS) as advance:
+            result = suites.benchmark_simulated(artefact, jobs, advance, beside)
+    else:
+        raise UsageError(f"benchmark {suite}: unknown suite: take real, simulated, papers or speed")
+    for note in result.notes:
+        terminal.warn(note)
+    terminal.show_benchmark(result)
+    speeds = suites.filter_speeds(artefact, beside)
+    terminal.show("Speed", ["filter", "us per sample"], [[name, f"{us:.2f}"] for name, us in speeds.items()])
+    if output is not None:
+        write_benchmark(output, suite, result, speeds, selector_file)
+        terminal.say(f"{output}: section {suite} written")
+
+
+def _speed(names: list[str], output: Path | None) -> None:
+    """Time kernels beside their twins."""
+    from crosscomb.report import terminal
+    from crosscomb.report.markdown import write_speeds
+    from crosscomb.training.suites.speed import measure_all, pairs_of
+
+    pairs = pairs_of(names)
+    with terminal.progress("timing", len(pairs)) as advance:
+        speeds = measure_all(pairs, advance)
+    terminal.show_speeds(speeds)
+    if output is not None:
+        write_speeds(output, speeds)
+
+
+def _papers(output: Path | None) -> None:
+    """Rebuild the papers' tables."""
+    from crosscomb.report import terminal
+    from crosscomb.report.markdown import write_papers
+    from crosscomb.training.suites.papers import PAPERS, PaperTable
+
+    tables: dict[str, PaperTable] = {}
+    with terminal.progress("rebuilding tables", len(PAPERS)) as advance:
+        for paper, rebuild in PAPERS.items():
+            tables |= {f"{paper}, {title}": table for title, table in rebuild().items()}
+            advance()
+    for name, table in tables.items():
+        terminal.show_table(name, table.table)
+        terminal.say(table.verdict + "\n")
+    if output is not None:
+        write_papers(output, tables)
