@@ -1,4 +1,4 @@
-"""Write output files whole or not at all, and record what a run was made of."""
+"""Read files, write output files whole or not at all, and record what a run was made of."""
 
 from __future__ import annotations
 
@@ -28,6 +28,32 @@ def refuse_overwriting(inputs: Iterable[Path], outputs: Iterable[Path]) -> None:
     for path in inputs:
         if path.resolve() in written:
             raise UsageError(f"{path}: would be overwritten by this run: let it write into another folder")
+
+
+def read_bytes(path: Path, kind: str = "file", origin: str = "check the name") -> bytes:
+    """Read a file whole.
+
+    Parameters
+    ----------
+    path : Path
+    kind : str
+        What it should be, for messages.
+    origin : str
+        What to do where there is none.
+
+    Raises
+    ------
+    UsageError
+        It is missing, a folder, or must not be read.
+    """
+    try:
+        return path.read_bytes()
+    except FileNotFoundError:
+        raise UsageError(f"{path}: no such {kind}: {origin}") from None
+    except OSError as error:
+        if path.is_dir():
+            raise UsageError(f"{path}: is a folder: name the {kind} in it") from None
+        raise UsageError(f"{path}: cannot be read ({error.strerror}): check its permissions") from None
 
 
 def write_file(path: Path, write: Callable[[Path], object]) -> None:

@@ -3,24 +3,20 @@
 from __future__ import annotations
 
 import json
-import tomllib
 from collections.abc import Mapping
 from importlib import resources
 from pathlib import Path
 from typing import Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import Field, model_validator
 
+from crosscomb.checked import FileKind, FiniteRecord, parse_checked, read_checked
 from crosscomb.errors import UsageError
 
 Positive = Field(gt=0.0, allow_inf_nan=False)
 
 
-class _Table(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
-
-
-class Tyre(_Table):
+class Tyre(FiniteRecord):
     """Tyre law and the shape of its curve; the stiffness and friction stand in the vehicle itself.
 
     `shape` and `curvature` are C and E of the Magic Formula.
@@ -38,7 +34,7 @@ class Tyre(_Table):
     )
 
 
-class Plant(_Table):
+class Plant(FiniteRecord):
     """What only the simulation needs."""
 
     drive: Literal["front", "rear", "all"] = "front"
@@ -66,7 +62,7 @@ class Plant(_Table):
     roll_steer_rear: float = Field(default=0.0, ge=-1.0, le=1.0, description="into the turn [rad/rad]")
 
 
-class Vehicle(_Table):
+class Vehicle(FiniteRecord):
     """One car in SI units, as read from a vehicle file (TOML)."""
 
     name: str = Field(min_length=1)
@@ -116,6 +112,9 @@ class Vehicle(_Table):
         return self.cg_to_front_axle + self.cg_to_rear_axle
 
 
+FILE = FileKind("vehicle file", Vehicle, "TOML", "write one with `crosscomb vehicle`")
+
+
 def load_vehicle(path: str | Path) -> Vehicle:
     """Read and check a vehicle file.
 
@@ -132,23 +131,12 @@ def load_vehicle(path: str | Path) -> Vehicle:
     path = Path(path)
     if path.suffix == "" and not path.exists():
         return _load_shipped(str(path))
-    try:
-        text = path.read_text(encoding="utf-8")
-    except FileNotFoundError:
-        raise UsageError(f"{path}: no such vehicle file: write one with `crosscomb vehicle`") from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise UsageError(f"{path}: cannot be read as a vehicle file ({error.__class__.__name__})") from None
-    return parse_vehicle(text, str(path))
+    return read_checked(path, FILE)
 
 
 def parse_vehicle(text: str, source: str) -> Vehicle:
     """Make a vehicle from the text of a vehicle file; `source` names it in messages."""
-    try:
-        return Vehicle(**tomllib.loads(text))
-    except tomllib.TOMLDecodeError as error:
-        raise UsageError(f"{source}: no valid TOML: {error}") from None
-    except ValidationError as error:
-        raise UsageError(f"{source}: {describe(error)}") from None
+    return parse_checked(text, source, FILE)
 
 
 def vehicle_text(vehicle: Vehicle, remarks: Mapping[str, str] | None = None) -> str:
@@ -173,20 +161,6 @@ def vehicle_text(vehicle: Vehicle, remarks: Mapping[str, str] | None = None) -> 
     for table, content in tables.items():
         lines += ["", f"[{table}]", *(line(key, value, f"{table}.{key}") for key, value in content.items())]
     return "\n".join(lines) + "\n"
-
-
-def describe(error: ValidationError) -> str:
-    """Say the first fault of a checked file in one line."""
-    first = error.errors()[0]
-    key = ".".join(str(part) for part in first["loc"])
-    if first["type"] == "extra_forbidden":
-        return f"unknown key {key}: delete it or correct its spelling"
-    if first["type"] == "missing":
-        return f"key {key} is missing: add it"
-    message = first["msg"].removeprefix("Value error, ")
-    # A table or a list is many lines long, and the message says what is wrong in it.
-    found = "" if isinstance(first["input"], dict | list) else f" (found {first['input']!r})"
-    return f"{key}: {message}{found}" if key else message
 
 
 def shipped_vehicles() -> list[str]:

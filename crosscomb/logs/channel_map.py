@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 import difflib
-import tomllib
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
 import pandas as pd
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import Field, model_validator
 
+from crosscomb.checked import FileKind, FiniteRecord, read_checked
 from crosscomb.errors import UsageError
 from crosscomb.logs.grid import MAX_AGE
 from crosscomb.logs.prepare import causal_slope
-from crosscomb.models.vehicle import describe
 from crosscomb.signals import GRAVITY, REFERENCES, UNITS, Signals, make_signals
 
 DEGREE = np.pi / 180.0
@@ -51,11 +50,7 @@ DERIVATIVE_WINDOW = 0.05
 """Length of the line fitted to the yaw rate for the yaw acceleration [s]."""
 
 
-class _Table(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
-
-
-class Channel(_Table):
+class Channel(FiniteRecord):
     """How one of our columns is made: ``sign * scale * unit factor * raw - offset``, late by ``delay``."""
 
     column: str | None = Field(
@@ -68,13 +63,13 @@ class Channel(_Table):
     delay: float = Field(default=0.0, ge=0.0, le=1.0, description="how late the channel is [s]")
 
 
-class Accelerometer(_Table):
+class Accelerometer(FiniteRecord):
     """Where the accelerometer sits: ``(x, y) [m]`` from the centre of gravity, x forward, y left."""
 
     position: tuple[float, float]
 
 
-class Reader(_Table):
+class Reader(FiniteRecord):
     """How the text is laid out; what is not given is recognised."""
 
     separator: str | None = Field(default=None, min_length=1, max_length=1)
@@ -91,14 +86,14 @@ class Reader(_Table):
         return self
 
 
-class ChannelMap(_Table):
+class ChannelMap(FiniteRecord):
     """A checked channel map.
 
     Columns that it does not name are taken under their own names, as they are; a column that it gives to one
     channel is not taken for another.
     """
 
-    channels: dict[str, Channel] = {}
+    channels: dict[str, Channel] = Field(default={})
     accelerometer: Accelerometer | None = None
     reader: Reader = Reader()
 
@@ -154,16 +149,7 @@ def load_map(path: str | Path) -> ChannelMap:
     UsageError
         The file is missing or no TOML, a key or channel is unknown, or a value is wrong.
     """
-    try:
-        return ChannelMap(**tomllib.loads(Path(path).read_text(encoding="utf-8")))
-    except FileNotFoundError:
-        raise UsageError(f"{path}: no such channel map: check the name") from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise UsageError(f"{path}: cannot be read as a channel map ({error.__class__.__name__})") from None
-    except tomllib.TOMLDecodeError as error:
-        raise UsageError(f"{path}: no valid TOML: {error}") from None
-    except ValidationError as error:
-        raise UsageError(f"{path}: {describe(error)}") from None
+    return read_checked(path, FileKind("channel map", ChannelMap, "TOML", "check the name"))
 
 
 def unit_name(text: str) -> str:

@@ -14,6 +14,7 @@ import numpy as np
 import pandas as pd
 
 from crosscomb.errors import UsageError
+from crosscomb.files import read_bytes
 from crosscomb.logs.channel_map import FACTORS, ChannelMap, apply_map, unit_name
 from crosscomb.signals import UNITS, Signals, make_signals
 
@@ -60,8 +61,6 @@ def read_log(path: str | Path, channel_map: ChannelMap | None = None) -> Signals
     UsageError
         The file cannot be read as a log; the message names the row or column and the mend.
     """
-    if Path(path).is_dir():
-        raise UsageError(f"{path}: is a folder: name the log in it")
     name, source = log_name(path), str(path)
     reader = (channel_map or ChannelMap()).reader
     text = _read_bytes(Path(path))
@@ -88,17 +87,13 @@ def read_log(path: str | Path, channel_map: ChannelMap | None = None) -> Signals
 
 def _read_bytes(path: Path) -> bytes:
     try:
-        data = path.read_bytes()
+        data = read_bytes(path)
         if path.suffix.lower() == ".gz":
             data = gzip.decompress(data)
-    except FileNotFoundError:
-        raise UsageError(f"{path}: no such file: check the name") from None
     except (EOFError, zlib.error, gzip.BadGzipFile):
         raise UsageError(
             f"{path}: is damaged or not gzip: copy it anew, or unpack it and give the .csv"
         ) from None
-    except OSError as error:
-        raise UsageError(f"{path}: cannot be read ({error.strerror}): check its permissions") from None
     if data.startswith((b"\xff\xfe", b"\xfe\xff")):
         raise UsageError(f"{path}: is UTF-16 text: save it as UTF-8")
     if re.search(rb"[\x00-\x08\x0e-\x1f]", data):

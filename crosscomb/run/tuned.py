@@ -2,32 +2,30 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Literal
 
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import Field
 
+from crosscomb.checked import FileKind, Record, read_checked
 from crosscomb.errors import UsageError
 from crosscomb.files import write_json
 from crosscomb.filters.catalogue import make_filter
-from crosscomb.models.vehicle import describe, load_vehicle
+from crosscomb.models.vehicle import load_vehicle
 from crosscomb.selection.artefact import FilterSettings
 
 SCHEMA_VERSION = 1
 
 
-class TunedNoise(BaseModel):
+class TunedNoise(Record):
     """Noise settings of one filter, by its name in the catalogue."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     name: str
     noise: dict[str, Any]
 
 
-class Tuned(BaseModel):
+class Tuned(Record):
     """What a tuning found.
 
     Attributes
@@ -40,12 +38,24 @@ class Tuned(BaseModel):
         Of the tuning: seeds, data hashes, versions, scores. Nothing of it changes a result.
     """
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
     schema_version: int = SCHEMA_VERSION
     by: Literal["error", "likelihood"]
     filters: list[TunedNoise]
-    record: dict[str, Any] = {}
+    record: dict[str, Any] = Field(default={})
+
+
+def _require_known(tuned: Tuned) -> None:
+    names = [entry.name for entry in tuned.filters]
+    for entry in tuned.filters:
+        if names.count(entry.name) > 1:
+            raise UsageError(f"filter {entry.name} is named twice: delete one")
+        make_filter(entry.name, load_vehicle("generic_compact"), {"noise": entry.noise})
+
+
+FILE = FileKind(
+    "file of `crosscomb tune`", Tuned, "JSON", "make it with `crosscomb tune`", "tune anew",
+    SCHEMA_VERSION, _require_known,
+)  # fmt: skip
 
 
 def load_tuned(path: Path) -> Tuned:
@@ -56,33 +66,7 @@ def load_tuned(path: Path) -> Tuned:
     UsageError
         The file is missing, no JSON, of another schema version, or names unknown filters or settings.
     """
-    try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise UsageError(f"{path}: no such file: make it with `crosscomb tune`") from None
-    except json.JSONDecodeError as error:
-        raise UsageError(f"{path}: line {error.lineno}: no valid JSON: tune anew") from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise UsageError(f"{path}: cannot be read as tuned noise ({error.__class__.__name__})") from None
-    version = content.get("schema_version") if isinstance(content, dict) else None
-    if version != SCHEMA_VERSION:
-        raise UsageError(
-            f"{path}: schema version {version!r}, this crosscomb reads {SCHEMA_VERSION} in a file of "
-            f"`crosscomb tune`: tune anew with this version"
-        )
-    try:
-        tuned = Tuned(**content)
-    except ValidationError as error:
-        raise UsageError(f"{path}: {describe(error)}: tune anew") from None
-    names = [entry.name for entry in tuned.filters]
-    for entry in tuned.filters:
-        if names.count(entry.name) > 1:
-            raise UsageError(f"{path}: filter {entry.name} is named twice: delete one")
-        try:
-            make_filter(entry.name, load_vehicle("generic_compact"), {"noise": entry.noise})
-        except UsageError as error:
-            raise UsageError(f"{path}: {error}") from None
-    return tuned
+    return read_checked(path, FILE)
 
 
 def save_tuned(tuned: Tuned, path: Path) -> None:

@@ -7,12 +7,12 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import Field, model_validator
 
-from crosscomb.errors import UsageError
+from crosscomb.checked import FileKind, Record, parse_checked, read_checked
 from crosscomb.files import write_text
 from crosscomb.filters.catalogue import CATALOGUE, make_filter
-from crosscomb.models.vehicle import Vehicle, describe, load_vehicle
+from crosscomb.models.vehicle import Vehicle, load_vehicle
 from crosscomb.selection.choice import Choice
 from crosscomb.selection.correction import Correction
 from crosscomb.selection.features import layout
@@ -27,16 +27,14 @@ SHIPPED = ("tree", "hybrid")
 """Artefacts that come with the package: the default tree, and the learned correction."""
 
 
-class FilterSettings(BaseModel):
+class FilterSettings(Record):
     """One filter that runs: its name in the catalogue and its settings."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
     name: str
-    settings: dict[str, Any] = {}
+    settings: dict[str, Any] = Field(default={})
 
 
-class Artefact(BaseModel):
+class Artefact(Record):
     """A trained selector with everything a run needs.
 
     Attributes
@@ -61,8 +59,6 @@ class Artefact(BaseModel):
         Record of the training: seeds, data hashes, versions, metrics. Nothing of it changes a result.
     """
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
     schema_version: int = SCHEMA_VERSION
     selector_name: str
     rate: float = Field(default=100.0, ge=10.0, le=10_000.0)
@@ -76,7 +72,7 @@ class Artefact(BaseModel):
     correction: Correction | None = None
     trust: Trust = Trust()
     vehicle: Vehicle | None = None
-    training: dict[str, Any] = {}
+    training: dict[str, Any] = Field(default={})
 
     @model_validator(mode="after")
     def _consistent(self) -> Artefact:
@@ -121,6 +117,18 @@ class Artefact(BaseModel):
         return [entry.name for entry in self.filters]
 
 
+def _require_filters(artefact: Artefact) -> None:
+    car = artefact.vehicle or load_vehicle("generic_compact")
+    for entry in artefact.filters:
+        make_filter(entry.name, car, entry.settings)
+
+
+FILE = FileKind(
+    "artefact", Artefact, "JSON", "train one with `crosscomb train`", "train the artefact anew",
+    SCHEMA_VERSION, _require_filters,
+)  # fmt: skip
+
+
 def load_artefact(path: str | Path | None = None) -> Artefact:
     """Read and check an artefact; without a path the tree that comes with the package.
 
@@ -138,38 +146,12 @@ def load_artefact(path: str | Path | None = None) -> Artefact:
     if str(path) in SHIPPED:
         entry = resources.files("crosscomb") / "data" / f"{path}.json"
         return parse_artefact(entry.read_text(encoding="utf-8"), entry.name)
-    try:
-        text = path.read_text(encoding="utf-8")
-    except FileNotFoundError:
-        raise UsageError(f"{path}: no such artefact: train one with `crosscomb train`") from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise UsageError(f"{path}: cannot be read as an artefact ({error.__class__.__name__})") from None
-    return parse_artefact(text, str(path))
+    return read_checked(path, FILE)
 
 
 def parse_artefact(text: str, source: str) -> Artefact:
     """Make an artefact from the text of its file; `source` names it in messages."""
-    try:
-        content = json.loads(text)
-    except json.JSONDecodeError as error:
-        raise UsageError(f"{source}: line {error.lineno}: no valid JSON: train the artefact anew") from None
-    version = content.get("schema_version") if isinstance(content, dict) else None
-    if version != SCHEMA_VERSION:
-        raise UsageError(
-            f"{source}: schema version {version!r}, this crosscomb reads {SCHEMA_VERSION}: "
-            f"train the artefact anew with this version"
-        )
-    try:
-        artefact = Artefact(**content)
-    except ValidationError as error:
-        raise UsageError(f"{source}: {describe(error)}: train the artefact anew") from None
-    car = artefact.vehicle or load_vehicle("generic_compact")
-    for entry in artefact.filters:
-        try:
-            make_filter(entry.name, car, entry.settings)
-        except UsageError as error:
-            raise UsageError(f"{source}: {error}") from None
-    return artefact
+    return parse_checked(text, source, FILE)
 
 
 def save_artefact(artefact: Artefact, path: Path) -> None:

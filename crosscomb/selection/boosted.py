@@ -7,7 +7,9 @@ from typing import Annotated, Literal, NamedTuple
 
 import numpy as np
 from numba import njit
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
+
+from crosscomb.checked import Record
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 
@@ -24,7 +26,7 @@ class Grove(NamedTuple):
     baseline: np.ndarray  # (outputs,)
 
 
-class Boosted(BaseModel):
+class Boosted(Record):
     """Sum of many small regression trees; their nodes lie in one list, one tree after the other.
 
     Attributes
@@ -42,8 +44,6 @@ class Boosted(BaseModel):
     value : list of float
         What a leaf adds.
     """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     kind: Literal["boosted"] = "boosted"
     baseline: list[Finite] = Field(min_length=1)

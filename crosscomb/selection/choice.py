@@ -6,12 +6,13 @@ import math
 
 import numpy as np
 from numba import njit
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
+from crosscomb.checked import Record
 from crosscomb.selection.boosted import Boosted
 
 
-class Choice(BaseModel):
+class Choice(Record):
     """Trees whose outputs say how likely each filter is the one to take.
 
     Attributes
@@ -25,8 +26,6 @@ class Choice(BaseModel):
     lag : float
         Time constant that smooths the probabilities of a blend [s].
     """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     trees: Boosted
     temperature: float = Field(default=1.0, gt=0.0)

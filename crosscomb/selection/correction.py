@@ -12,8 +12,9 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 
+from crosscomb.checked import Record
 from crosscomb.selection.boosted import Finite
 from crosscomb.selection.network import Network, Scratch, Weights, make_scratch, network_at
 from crosscomb.selection.trust import Trust
@@ -26,7 +27,7 @@ LEAST_DOUBT, MOST_DOUBT = math.log(math.radians(0.05)), math.log(math.radians(30
 """Logarithm of the least and largest standard deviation [rad] that the networks may foretell."""
 
 
-class Correction(BaseModel):
+class Correction(Record):
     """Networks that correct one filter, and one that says how far off the corrected answer is.
 
     Attributes
@@ -52,8 +53,6 @@ class Correction(BaseModel):
     lowest, highest : list of float
         Range of each feature in training, mirrored drives included.
     """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     anchor: str
     network: Network

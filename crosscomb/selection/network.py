@@ -7,8 +7,9 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 
+from crosscomb.checked import Record
 from crosscomb.selection.boosted import Boosted, Finite, Grove, boosted_at
 
 FAR = np.float32(5.0)
@@ -17,7 +18,7 @@ FAR = np.float32(5.0)
 NO_TREES = Boosted(baseline=[0.0], roots=[], feature=[], threshold=[], left=[], right=[], value=[])
 
 
-class Member(BaseModel):
+class Member(Record):
     """One network: two hidden layers of rectified linear neurons and a linear output.
 
     Attributes
@@ -29,8 +30,6 @@ class Member(BaseModel):
     output_bias : float
     """
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
     first: list[list[Finite]]
     first_bias: list[Finite]
     second: list[list[Finite]]
@@ -39,7 +38,7 @@ class Member(BaseModel):
     output_bias: Finite
 
 
-class Network(BaseModel):
+class Network(Record):
     """Mean of some networks that look at the same features, and of boosted trees beside them.
 
     Networks follow smooth relations; trees never answer beyond what they were taught. Their errors differ.
@@ -58,8 +57,6 @@ class Network(BaseModel):
     trees : Boosted or None
         On the scaled inputs; they count as much as all members together.
     """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     columns: list[int] = Field(min_length=1)
     relative: list[int]

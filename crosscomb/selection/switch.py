@@ -7,12 +7,13 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
+from crosscomb.checked import Record
 from crosscomb.filters.base import MAX_BETA
 
 
-class SwitchSettings(BaseModel):
+class SwitchSettings(Record):
     """How decisions become switches, in seconds so that they hold at every rate.
 
     Attributes
@@ -32,8 +33,6 @@ class SwitchSettings(BaseModel):
     fastest : float
         A filter whose beta changes faster than this [rad/s] has jumped: it was reset.
     """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     dwell: float = Field(default=0.2, ge=0.0, le=60.0)
     confirm: float = Field(default=0.2, ge=0.0, le=60.0)

@@ -6,12 +6,14 @@ from typing import Annotated, Literal
 
 import numpy as np
 from numba import njit
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
+
+from crosscomb.checked import Record
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 
 
-class Tree(BaseModel):
+class Tree(Record):
     """Decision tree as arrays over its nodes; node 0 is the root, a leaf has no children (-1).
 
     Attributes
@@ -30,8 +32,6 @@ class Tree(BaseModel):
     lowest, highest : list of float
         Range of each feature in training.
     """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     kind: Literal["tree"] = "tree"
     feature: list[int]

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
+
+from crosscomb.checked import Record
 
 
-class Trust(BaseModel):
+class Trust(Record):
     """How doubt is calibrated, so that beta +- 1.96 beta_std holds the truth in 95 % of the samples.
 
     Attributes
@@ -18,8 +20,6 @@ class Trust(BaseModel):
     scale : float
         Found on recordings left out of the fit.
     """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     disagreement: float = Field(default=0.0, ge=0.0)
     floor: float = Field(default=0.0, ge=0.0)

@@ -12,15 +12,16 @@ from functools import cached_property
 from typing import Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
+from crosscomb.checked import Record
 from crosscomb.models.compiled import kernel
 
 LEAST_YAW_RATE = 0.01
 """Below this yaw rate [rad/s] the slope of ay over yaw rate means nothing and goes to 0."""
 
 
-class WindowSettings(BaseModel):
+class WindowSettings(Record):
     """How windows are cut.
 
     Attributes
@@ -34,8 +35,6 @@ class WindowSettings(BaseModel):
     features : {"raw", "statistics"}
         The samples themselves as in the paper, or their statistics.
     """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     length: int = Field(default=10, ge=2, le=1000)
     history: int = Field(default=10, ge=1, le=100)
