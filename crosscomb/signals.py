@@ -60,7 +60,7 @@ class Signals:
     Attributes
     ----------
     name : str
-        File name without ``.csv`` or ``.csv.gz``; names the outputs.
+        File name without its ending; names the outputs.
     frame : pandas.DataFrame
         ``(n, columns)`` float64, column ``t`` [s] strictly increasing; NaN means "no measurement".
     source : str

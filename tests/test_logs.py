@@ -8,7 +8,9 @@ import pandas as pd
 import pytest
 
 from crosscomb.errors import UsageError
-from crosscomb.logs.read import log_name, read_log
+from crosscomb.logs.formats.table import FORMATS, Format, log_name
+from crosscomb.logs.read import read_log
+from crosscomb.training.recordings import find_logs
 
 HEADER = "t,vx,ay,yaw_rate,steer\n"
 GOOD = HEADER + "".join(f"{i / 100},{10 + i / 8},{i * 0.1:.1f},-0.125,0.02\n" for i in range(20))
@@ -188,3 +190,61 @@ def test_real_logs_hold_every_number_of_their_files(data_dir: Path) -> None:
                 [float(text) if isinstance(text, str) else np.nan for text in raw[column][:300]]
             )
             assert np.array_equal(log.column(str(column))[:300], expected, equal_nan=True)
+
+
+def test_content_counts_where_the_name_lies(tmp_path: Path) -> None:
+    good = read_log(write(tmp_path, GOOD))
+    for name, data in (("packed.csv", gzip.compress(GOOD.encode())), ("plain.csv.gz", GOOD)):
+        log = read_log(write(tmp_path, data, name))
+        pd.testing.assert_frame_equal(log.frame, good.frame, check_exact=True)
+        assert "not what its name says" in log.notes[-1]
+    assert not good.notes
+    with pytest.raises(UsageError, match=r"column ay.*its name says: it is gzip, a binary file"):
+        read_log(write(tmp_path, gzip.compress(b"t,vx\n1,2\n"), "short.csv"))
+
+
+TOY = """
+import numpy as np
+import pandas as pd
+from crosscomb.logs.formats.table import Columns
+
+def recognises(data):
+    return data.startswith(b"TOY\\0")
+
+def open_log(data, source, reader):
+    names, *rows = (line.split("|") for line in data[4:].decode().splitlines())
+    table = np.array(rows, dtype=float)
+    index = pd.RangeIndex(2, 2 + len(table), name="row")
+    return Columns(
+        names, "row 1", lambda wanted: pd.DataFrame({name: table[:, at] for name, at in wanted.items()}, index)
+    )
+"""
+
+
+def test_a_new_format_is_one_file_and_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    write(tmp_path, TOY, "toy_format.py")
+    monkeypatch.syspath_prepend(tmp_path)
+    toy = ("TOY\0" + GOOD.replace(",", "|")).encode()
+    folder = tmp_path / "logs"
+    folder.mkdir()
+    logs = [write(folder, toy, "a.toy"), write(folder, toy, "b.csv"), write(folder, GOOD, "c.csv")]
+    logs += [write(folder, GOOD, "d.toy")]
+    assert find_logs(folder) == logs[1:3]
+    with pytest.raises(UsageError, match=r"a\.toy: not a \.csv or \.csv\.gz file"):
+        read_log(logs[0])
+    with pytest.raises(UsageError, match=r"b\.csv: is a binary file"):
+        read_log(logs[1])
+
+    monkeypatch.setattr(
+        "crosscomb.logs.formats.table.FORMATS", [*FORMATS, Format("toy", (".toy",), "toy_format")]
+    )
+
+    assert find_logs(folder) == logs
+    read = [read_log(path) for path in logs]
+    assert [log.name for log in read] == ["a", "b", "c", "d"]
+    for log in read:
+        pd.testing.assert_frame_equal(log.frame, read[2].frame, check_exact=True)
+    assert [len(log.notes) for log in read] == [0, 1, 0, 1]
+    assert "it is toy" in read[1].notes[0]
+    with pytest.raises(UsageError, match=r"not a \.csv, \.csv\.gz or \.toy file"):
+        log_name("e.mat")

@@ -6,7 +6,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from crosscomb.logs.read import log_name, read_log
+from crosscomb.logs.formats.table import log_name
+from crosscomb.logs.read import read_log
 from crosscomb.selection.artefact import load_artefact
 from crosscomb.training.recordings import find_logs
 

@@ -11,10 +11,11 @@ import numpy as np
 from crosscomb.errors import UsageError
 from crosscomb.filters.base import Inputs, make_inputs
 from crosscomb.logs.channel_map import ChannelMap
+from crosscomb.logs.formats.table import ending, endings, log_name
 from crosscomb.logs.grid import to_grid
 from crosscomb.logs.intake import require_plausible
 from crosscomb.logs.prepare import complete
-from crosscomb.logs.read import log_name, read_log
+from crosscomb.logs.read import read_log
 from crosscomb.models.vehicle import Vehicle, load_vehicle
 from crosscomb.signals import Signals
 from crosscomb.training.metrics import countable
@@ -77,7 +78,7 @@ def find_logs(folder: Path) -> list[Path]:
     return sorted(
         path
         for path in folder.iterdir()
-        if path.name.lower().endswith((".csv", ".csv.gz"))
+        if ending(path)
         and not path.name.startswith(".")
         and not path.name.endswith(OUR_TABLES)
         and path.is_file()
@@ -97,7 +98,7 @@ def find_places(folder: Path) -> list[tuple[Path, list[Path]]]:
     places = [folder, *sorted(path for path in folder.iterdir() if path.is_dir())]
     found = [(place, logs) for place in places if (logs := find_logs(place))]
     if not found:
-        raise UsageError(f"{folder}: holds no log (.csv or .csv.gz): name the folder with the logs")
+        raise UsageError(f"{folder}: holds no log ({endings()}): name the folder with the logs")
     return found
 
 

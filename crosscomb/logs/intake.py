@@ -8,8 +8,9 @@ from pathlib import Path
 
 from crosscomb.errors import UsageError
 from crosscomb.logs.channel_map import ChannelMap
+from crosscomb.logs.formats.table import log_name
 from crosscomb.logs.plausibility import check_units
-from crosscomb.logs.read import log_name, read_log
+from crosscomb.logs.read import read_log
 from crosscomb.models.vehicle import Vehicle, load_vehicle
 from crosscomb.signals import REFERENCES, Signals
 

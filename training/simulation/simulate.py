@@ -14,6 +14,7 @@ import numpy as np
 
 from crosscomb.errors import UsageError
 from crosscomb.files import write_file, write_json, write_text
+from crosscomb.logs.formats.table import ending
 from crosscomb.logs.prepare import complete
 from crosscomb.models.plant import PlantParameters
 from crosscomb.models.vehicle import Vehicle, vehicle_text
@@ -205,7 +206,7 @@ def _clear(out_dir: Path, force: bool) -> None:
     """Make the folder; logs of an earlier run are removed with force, foreign logs never."""
     try:
         out_dir.mkdir(parents=True, exist_ok=True)
-        old = sorted(p for p in out_dir.iterdir() if p.name.endswith((".csv", ".csv.gz")))
+        old = sorted(p for p in out_dir.iterdir() if ending(p))
         if old and not force:
             raise UsageError(f"{out_dir}: holds logs already ({old[0].name}): take another folder or --force")
         ours = _earlier_logs(out_dir)
