@@ -81,8 +81,7 @@ class StreamingEstimator:
 
     Examples
     --------
-    >>> from crosscomb.selection.artefact import load_artefact
-    >>> from crosscomb.models.vehicle import load_vehicle
+    >>> from crosscomb import StreamingEstimator, load_artefact, load_vehicle
     >>> live = StreamingEstimator(load_vehicle("generic_compact"), load_artefact())
     >>> live.step({"t": 0.0, "vx": 20.0, "ax": 0.0, "ay": 0.0, "yaw_rate": 0.0, "steer": 0.0}).status
     'ok'

@@ -1,0 +1,6 @@
+"""``python -m crosscomb`` is the command line."""
+
+from crosscomb.cli.main import main
+
+if __name__ == "__main__":
+    main()
