@@ -8,7 +8,9 @@ from pathlib import Path
 import pytest
 
 import crosscomb
+from crosscomb.errors import UsageError
 from crosscomb.models.vehicle import Vehicle
+from crosscomb.run.drive import require_known
 from crosscomb.signals import Signals
 
 README = Path(__file__).resolve().parents[1] / "README.md"
@@ -49,3 +51,13 @@ def test_the_examples_of_the_readme_run(
     for example in examples:
         exec(example, known)
     assert "beta_random_walk_pf" in capsys.readouterr().out
+
+
+def test_a_program_is_told_arguments_and_a_command_its_flags(
+    crosscomb, write_log, simulated, tmp_path
+) -> None:
+    with pytest.raises(UsageError, match=r"^`filters` magic: not in the catalogue"):
+        require_known(["magic"])
+    log = write_log(simulated[0].frame, tmp_path / "log.csv")
+    ran = crosscomb("estimate", log, "--filters", "magic", "-o", tmp_path / "out")
+    assert ran.err.startswith("error: --filters magic: not in the catalogue")

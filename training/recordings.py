@@ -69,7 +69,14 @@ class Recording:
 CARD = "dataset.json"
 """Data card of a folder of simulated logs."""
 
-OUR_TABLES = (".estimate.csv", ".point.csv", ".handling.csv", ".tuning.csv", "confusion_matrix.csv")
+OUR_TABLES = (
+    ".estimate.csv",
+    ".point.csv",
+    ".handling.csv",
+    ".extras.csv",
+    ".tuning.csv",
+    "confusion_matrix.csv",
+)
 """Endings of what crosscomb itself writes: no logs."""
 
 
@@ -140,8 +147,8 @@ def read_recordings(
         beside = place / "vehicle.toml"
         if not vehicle and not beside.exists():
             if place == folder:
-                raise UsageError(f"{folder}: no vehicle.toml beside the logs: write it, or give --vehicle")
-            notes.append(f"{place.name}: skipped, it has no vehicle.toml (give --vehicle to use it)")
+                raise UsageError(f"{folder}: no vehicle.toml beside the logs: write it, or give `vehicle`")
+            notes.append(f"{place.name}: skipped, it has no vehicle.toml (one given for all logs would do)")
             continue
         car = load_vehicle(vehicle or beside)
         prefix = "" if place == folder else f"{place.name}/"

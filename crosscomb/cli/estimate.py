@@ -17,6 +17,7 @@ from crosscomb.cli.options import (
     filter_names,
     place,
 )
+from crosscomb.logs.formats.table import endings
 
 if TYPE_CHECKING:
     from crosscomb.logs.intake import OpenedLog
@@ -35,7 +36,7 @@ def filters() -> None:
 
 
 def estimate(
-    logs: Annotated[list[Path], typer.Argument(help="Logs (.csv or .csv.gz).")],
+    logs: Annotated[list[Path], typer.Argument(help=f"Logs ({endings()}).")],
     selector_file: SelectorFileOption = None,
     vehicle: VehicleOption = None,
     channel_map: MapOption = None,
@@ -110,7 +111,7 @@ def answer(
 
 
 def check(
-    log: Annotated[Path, typer.Argument(help="Log (.csv or .csv.gz).")],
+    log: Annotated[Path, typer.Argument(help=f"Log ({endings()}).")],
     vehicle: VehicleOption = None,
     channel_map: MapOption = None,
 ) -> None:

@@ -14,6 +14,7 @@ from crosscomb.cli.benchmark import benchmark
 from crosscomb.cli.demo import demo
 from crosscomb.cli.estimate import check, estimate, filters
 from crosscomb.cli.identify import identify
+from crosscomb.cli.options import as_flags
 from crosscomb.cli.simulate import simulate, vehicle
 from crosscomb.cli.train import train
 from crosscomb.cli.tune import tune
@@ -36,7 +37,7 @@ def main() -> None:
         code = app(standalone_mode=False)
     except UsageError as error:
         # One line, whatever a file or column is called.
-        print(f"error: {' '.join(str(error).split())}", file=sys.stderr)
+        print(f"error: {' '.join(as_flags(str(error)).split())}", file=sys.stderr)
         sys.exit(2)
     except (typer.Abort, KeyboardInterrupt):
         print("error: interrupted", file=sys.stderr)

@@ -57,7 +57,7 @@ def make_plan(
     if extras and not told:
         others = [name for name, entry in CATALOGUE.items() if entry.load().extras]
         raise UsageError(
-            f"--extras: {', '.join(names)}: no more than beta to tell: name by --filters one of {', '.join(others)}"
+            f"{', '.join(names)}: no more than beta to tell: name in `filters` one of {', '.join(others)}"
         )
     told = told if extras else []
     return Plan(vehicle, artefact, names, made, members, switched, told, record_of(len(names), len(told)))

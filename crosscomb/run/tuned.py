@@ -83,7 +83,7 @@ def require_used(tuned: Tuned | None, names: Sequence[str], path: Path | None) -
     """
     if tuned and tuned.filters and not any(entry.name in names for entry in tuned.filters):
         given = ", ".join(entry.name for entry in tuned.filters)
-        raise UsageError(f"{path}: holds noise of {given}, none of which runs here: name them with --filters")
+        raise UsageError(f"{path}: holds noise of {given}, none of which runs here: name them in `filters`")
 
 
 def with_tuned(entries: Sequence[FilterSettings], tuned: Tuned | None) -> list[FilterSettings]:

@@ -194,7 +194,7 @@ def require_filters(names: Sequence[str]) -> None:
     """
     require_known(names)
     if len(names) < 2:
-        raise UsageError(f"--filters {', '.join(names)}: there is nothing to select from: name at least two")
+        raise UsageError(f"`filters` {', '.join(names)}: there is nothing to select from: name at least two")
 
 
 def _record(

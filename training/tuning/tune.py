@@ -168,15 +168,15 @@ def require_tunable(name: str, by: str) -> None:
     UsageError
     """
     if name not in CATALOGUE:
-        raise UsageError(f"--filters {name}: not in the catalogue: `crosscomb filters` lists it")
+        raise UsageError(f"`filters` {name}: not in the catalogue: `crosscomb filters` lists it")
     if is_tunable(name, by):
         return
     if by == LIKELIHOOD:
         able = [key for key in CATALOGUE if is_tunable(key, by)]
         raise UsageError(
-            f"--filters {name}: can only be tuned against ground truth: without it take of {', '.join(able)}"
+            f"`filters` {name}: can only be tuned against ground truth: without it take of {', '.join(able)}"
         )
-    raise UsageError(f"--filters {name}: no noise setting changes its answer: leave it out")
+    raise UsageError(f"`filters` {name}: no noise setting changes its answer: leave it out")
 
 
 def is_tunable(name: str, by: str) -> bool:
