@@ -160,7 +160,7 @@ def _require_columns(table: pd.DataFrame, source: str, others: Sequence[str]) ->
         if others
         else ""
     )
-    mend = "or name the log's own column for it in a channel map (--map)"
+    mend = "or name the log's own column for it in a channel map (`channel_map`)"
     for column in ("t", "ay", "yaw_rate"):
         if column not in table:
             raise UsageError(f"{source}: column {column} [{UNITS[column]}] is missing{has}: add it, {mend}")

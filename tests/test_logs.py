@@ -91,8 +91,11 @@ BAD: dict[str, tuple[str | bytes, tuple[str, ...]]] = {
     "binary": (bytes(range(256)), ("binary", "CSV")),
     "NUL bytes": (GOOD.encode() + b"\0\0", ("binary",)),
     "UTF-16": (GOOD.encode("utf-16"), ("UTF-16", "UTF-8")),
-    "missing column": (GOOD.replace("yaw_rate", "gyro"), ("yaw_rate [rad/s] is missing", "gyro", "--map")),
-    "missing speed": (GOOD.replace("vx", "v"), ("vx [m/s] is missing", "vfl", "--map")),
+    "missing column": (
+        GOOD.replace("yaw_rate", "gyro"),
+        ("yaw_rate [rad/s] is missing", "gyro", "channel_map"),
+    ),
+    "missing speed": (GOOD.replace("vx", "v"), ("vx [m/s] is missing", "vfl", "channel_map")),
     "missing steering": (GOOD.replace("steer", "wheel"), ("steer [rad] is missing", "steer_wheel")),
     "column twice": (GOOD.replace("yaw_rate", "ay"), ("row 1", "column ay", "twice")),
     "text": (GOOD.replace("0.5,-0.125", "oops,-0.125"), ("row 7", "column ay", "'oops'")),

@@ -134,7 +134,7 @@ def test_mend_can_be_pasted_into_a_map_and_then_nothing_is_wrong(
     spoilt.frame.to_csv(tmp_path / "log.csv", index=False)
     lines: dict[str, list[str]] = {}
     for finding in errors(read_log(tmp_path / "log.csv"), vehicle):
-        table, setting = finding.message.split("(--map): ")[1].split("] ")
+        table, setting = finding.message.split("(`channel_map`): ")[1].split("] ")
         lines.setdefault(table + "]", []).append(setting)
     text = "\n".join("\n".join([table, *settings]) for table, settings in lines.items())
     (tmp_path / "map.toml").write_text(text)

@@ -230,7 +230,7 @@ def test_card_tells_a_spin_from_a_slide(tmp_path):
 def test_folder_with_logs_needs_force_and_keeps_foreign_logs(tmp_path):
     first = simulate_data_set(CAR, tmp_path, 1, 3)
     (tmp_path / "mine.csv").write_text("t\n0\n")
-    with pytest.raises(UsageError, match="--force"):
+    with pytest.raises(UsageError, match="`force`"):
         simulate_data_set(CAR, tmp_path, 1, 1)
     assert all(p.exists() for p in first)
     second = simulate_data_set(CAR, tmp_path, 5, 1, force=True)

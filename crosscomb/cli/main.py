@@ -14,7 +14,6 @@ from crosscomb.cli.benchmark import benchmark
 from crosscomb.cli.demo import demo
 from crosscomb.cli.estimate import check, estimate, filters
 from crosscomb.cli.identify import identify
-from crosscomb.cli.options import as_flags
 from crosscomb.cli.simulate import simulate, vehicle
 from crosscomb.cli.train import train
 from crosscomb.cli.tune import tune
@@ -36,6 +35,8 @@ def main() -> None:
     try:
         code = app(standalone_mode=False)
     except UsageError as error:
+        from crosscomb.report.terminal import as_flags
+
         # One line, whatever a file or column is called.
         print(f"error: {' '.join(as_flags(str(error)).split())}", file=sys.stderr)
         sys.exit(2)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
 from typing import Annotated
 
@@ -40,15 +39,6 @@ SeedOption = Annotated[
     int, typer.Option("--seed", min=0, help="The same seed gives the same result bit for bit.")
 ]
 JobsOption = Annotated[int, typer.Option("--jobs", min=1, help="Processes; does not change the result.")]
-
-
-ARGUMENTS = re.compile("`(filters|vehicle)`")
-"""Arguments of functions, as messages of the library name them, that are options of the command line."""
-
-
-def as_flags(message: str) -> str:
-    """A message of the library for those who typed a command."""
-    return ARGUMENTS.sub(r"--\1", message)
 
 
 def filter_names(filters: str | None) -> list[str]:

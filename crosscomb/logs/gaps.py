@@ -109,7 +109,7 @@ def _standstill_offsets(signals: Signals) -> list[tuple[str, str]]:
         if values.size < 20 or abs(values.mean()) <= max(most, 4.0 * values.std() / np.sqrt(values.size)):
             continue
         mean, cause = values.mean(), " (or the car stood on a slope)" if name == "ay" else ""
-        mend = f"write in a channel map (--map): [channels.{name}] offset = {mean:.3g}"
+        mend = f"write in a channel map (`channel_map`): [channels.{name}] offset = {mean:.3g}"
         found.append(
             (name, f"{name} is {mean:.3g} {UNITS[name]} at standstill{cause}: to take it off {mend}")
         )

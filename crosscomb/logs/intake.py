@@ -125,7 +125,7 @@ def choose_vehicle(
         return trained, "artefact", ""
     warning = (
         f"{log}: no vehicle file: the generic compact car is taken, its beta can be far off: "
-        f"give --vehicle, or write vehicle.toml beside the log with `crosscomb vehicle`"
+        f"give `vehicle`, or write vehicle.toml beside the log with `crosscomb vehicle`"
     )
     return load_vehicle(GENERIC), GENERIC, warning
 
@@ -140,7 +140,7 @@ def require_road_wheel_angle(signals: Signals) -> None:
     if not signals.has("steer"):
         raise UsageError(
             f"{signals.source}: column steer is missing and steer_wheel needs the car's steering ratio: "
-            f"give --vehicle, or map steer with scale = 1 / ratio (--map)"
+            f"give `vehicle`, or map steer with scale = 1 / ratio (`channel_map`)"
         )
 
 

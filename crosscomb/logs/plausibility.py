@@ -72,7 +72,7 @@ def _check_time_unit(signals: Signals) -> list[Finding]:
     unit = "ms" if step < 1e3 else "us" if step < 1e6 else "ns"
     message = (
         f"t looks like {unit}, not s: the rows are {step:g} s apart, and a log so slow is of no use: "
-        f'write in a channel map (--map): [channels.t] unit = "{unit}"'
+        f'write in a channel map (`channel_map`): [channels.t] unit = "{unit}"'
     )
     return [Finding("error", "t", message)]
 

@@ -105,5 +105,5 @@ def _without_si_unit(name: str, names: list[str], source: str) -> str:
     of = f'unit = "{unit}"' if unit in known else f"its unit, one of {', '.join(known)}"
     raise UsageError(
         f"{source}: column {name!r} is not in {UNITS[parts[1]]}: "
-        f'write in a channel map (--map): [channels.{parts[1]}] column = "{name}", {of}'
+        f'write in a channel map (`channel_map`): [channels.{parts[1]}] column = "{name}", {of}'
     )

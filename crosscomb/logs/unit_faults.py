@@ -148,7 +148,7 @@ def _finding(sets: list[tuple[Fault, ...]], all_faults: tuple[Fault, ...], ties:
     )
     mend = ", or ".join(" and ".join(fault.mend for fault in faults) for faults in sets)
     severity: Literal["error", "warning"] = "error" if all(fault.sure for fault in sets[0]) else "warning"
-    message = f"{looks}: {'; '.join(evidence[:2])}: write in a channel map (--map): {mend}"
+    message = f"{looks}: {'; '.join(evidence[:2])}: write in a channel map (`channel_map`): {mend}"
     return Finding(severity, _columns(sets[0][0])[0], message)
 
 

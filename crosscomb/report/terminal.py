@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -43,14 +44,24 @@ console = Console(
 errors = Console(stderr=True, markup=False, highlight=False, soft_wrap=True)
 
 
+FLAGS = {name: f"--{name}" for name in ("filters", "vehicle", "force")}
+FLAGS |= {"channel_map": "--map", "tune_budget": "--tune-budget"}
+"""Options of the command line by the arguments of functions, as messages of the library name them."""
+
+
+def as_flags(message: str) -> str:
+    """A message of the library for those who typed a command."""
+    return re.sub(r"`(\w+)`", lambda match: FLAGS.get(match[1], match[0]), message)
+
+
 def say(text: str) -> None:
-    """Print a line as it is."""
-    console.print(text)
+    """Print a line."""
+    console.print(as_flags(text))
 
 
 def warn(text: str) -> None:
     """Print a warning to the error stream."""
-    errors.print(f"warning: {text}")
+    errors.print(f"warning: {as_flags(text)}")
 
 
 @contextmanager

@@ -208,7 +208,7 @@ def _clear(out_dir: Path, force: bool) -> None:
         out_dir.mkdir(parents=True, exist_ok=True)
         old = sorted(p for p in out_dir.iterdir() if ending(p))
         if old and not force:
-            raise UsageError(f"{out_dir}: holds logs already ({old[0].name}): take another folder or --force")
+            raise UsageError(f"{out_dir}: holds logs already ({old[0].name}): take another folder or `force`")
         ours = _earlier_logs(out_dir)
         for path in old:
             if path.name.removesuffix(".csv.gz") in ours:

@@ -112,6 +112,6 @@ def say_tuned(entries: Sequence[FilterSettings], evaluations: int) -> list[str]:
     if evaluations > 0:
         lines.append(
             f"noise tuned in {evaluations} evaluations on at most {MOST_RECORDINGS} recordings of the training part; "
-            f"kept where it helps on those it was not tuned on, and the bank as a whole (--tune-budget 0: not tuned)"
+            f"kept where it helps on those it was not tuned on, and the bank as a whole (`tune_budget` 0: not tuned)"
         )
     return lines

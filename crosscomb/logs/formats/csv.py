@@ -192,10 +192,8 @@ def _numbers(cells: pd.Series, decimal: str, source: str) -> pd.Series:
         row, cell = cells.index[wrong[0]], text.iloc[wrong[0]]
         mend = "correct the cell, or empty it if nothing was measured"
         if wrong[0] == 0:
-            mend += (
-                f"; for a row of units write in a channel map (--map): [reader] first_data_row = {row + 1}"
-            )
+            mend += f"; for a row of units write in a channel map (`channel_map`): [reader] first_data_row = {row + 1}"
         if decimal == "." and re.fullmatch(r"[-+]?\d+,\d+", cell):
-            mend = 'for a decimal comma write in a channel map (--map): [reader] decimal = ","'
+            mend = 'for a decimal comma write in a channel map (`channel_map`): [reader] decimal = ","'
         raise UsageError(f"{source}: row {row}, column {cells.name}: {cell[:40]!r} is not a number: {mend}")
     return numbers
