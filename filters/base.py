@@ -98,6 +98,12 @@ class KernelFilter:
 
     Names that begin with `INNOVATION` are innovations: measured minus predicted, NaN where not measured.
     """
+    odd_innovations: ClassVar[tuple[str, ...]] = ()
+    """Those innovations that change sign when the drive is mirrored."""
+    divisors: ClassVar[tuple[str, ...]] = (
+        "yaw_rate", "ax", "ay", "accel", "speed", "wheel_speed", "gnss_velocity", "heading",
+    )  # fmt: skip
+    """Settings, also inside tables, by which kernels divide: 0 is no answer there. Here errors of what is measured."""
     told_by_likelihood: ClassVar[tuple[str, ...]] = ()
     """Noise settings that the likelihood of the measurements tells; none where the kernel does not keep it."""
 

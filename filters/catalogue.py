@@ -226,24 +226,6 @@ CATALOGUE: dict[str, Entry] = {
     ),
 }
 
-DIVISORS = frozenset(
-    {"yaw_rate", "ax", "ay", "accel", "speed", "wheel_speed", "gnss_velocity", "heading"}  # what is measured
-    | {"pseudo", "rolling", "slip", "split", "yaw_moment"}  # what is taken for measured
-    | {
-        "demand",
-        "disagreement",
-        "turning",
-        "turning_width",
-        "moving_width",
-        "yaw_layer",
-        "ay_layer",
-        "surprise",
-    }  # widths
-    | {"memory", "stay", "disturbance_time", "bias_time", "outage"}  # times
-    | {"parameter_range", "low_friction"}
-)
-"""Settings, by their last name, by which kernels divide: 0 is no answer there."""
-
 LEAST_DIVISOR = 1e-9
 MOST_PARTICLES = 1_000_000
 MOST_SEED = 2**63 - 1
@@ -276,8 +258,7 @@ def make_filter(name: str, vehicle: Vehicle, settings: Mapping[str, Any] | None 
         if key not in defaults:
             raise UsageError(f"filter {name}: unknown setting {key}: take of {', '.join(defaults)}")
         where, check = f"filter {name}: {key}", cls.tables.get(key)
-        words = cls.choices.get(key, ())
-        chosen[key] = check(where, value) if check else _checked(where, value, defaults[key], words)
+        chosen[key] = check(where, value) if check else _checked(where, key, value, defaults[key], cls)
     return cls(vehicle, **chosen)
 
 
@@ -295,34 +276,38 @@ def _plain(value: Any) -> Any:
     return value
 
 
-def _checked(where: str, value: Any, default: Any, words: tuple[str, ...] = ()) -> Any:
+def _checked(where: str, key: str, value: Any, default: Any, cls: type[KernelFilter]) -> Any:
     """Check a setting against the kind of its default and give it that kind."""
     if hasattr(default, "_asdict"):
-        return _checked_noise(where, value, default)
+        return _checked_noise(where, value, default, cls)
     if isinstance(default, str):
+        words = cls.choices.get(key, ())
         if value not in words:
             raise UsageError(f"{where}: {value!r} is unknown: take one of {', '.join(words)}")
         return value
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise UsageError(f"{where}: {value!r} is no number")
     if isinstance(default, int):
-        least, most = (0, MOST_SEED) if where.endswith("seed") else (1, MOST_PARTICLES)
+        least, most = (0, MOST_SEED) if key == "seed" else (1, MOST_PARTICLES)
         if not least <= value <= most or int(value) != value:
             raise UsageError(f"{where}: {value!r} must be a whole number from {least} to {most}")
         return int(value)
     if not 0.0 <= value < float("inf"):
         raise UsageError(f"{where}: {value!r} must be finite and not negative")
-    if where.rpartition(".")[2].rpartition(" ")[2] in DIVISORS and value < LEAST_DIVISOR:
+    if key in cls.divisors and value < LEAST_DIVISOR:
         raise UsageError(f"{where}: {value!r} must be at least {LEAST_DIVISOR:g}: the filter divides by it")
     return float(value)
 
 
-def _checked_noise(where: str, value: Any, default: Any) -> Any:
+def _checked_noise(where: str, value: Any, default: Any, cls: type[KernelFilter]) -> Any:
     if not isinstance(value, Mapping):
         raise UsageError(f"{where}: must be a table of {', '.join(default._fields)}")
     for key in value:
         if key not in default._fields:
             raise UsageError(f"{where}: unknown setting {key}: take of {', '.join(default._fields)}")
     return default._replace(
-        **{key: _checked(f"{where}.{key}", part, getattr(default, key)) for key, part in value.items()}
+        **{
+            key: _checked(f"{where}.{key}", key, part, getattr(default, key), cls)
+            for key, part in value.items()
+        }
     )

@@ -35,14 +35,6 @@ MOST_NIS = 100.0
 MOST_INNOVATION = 10.0
 """A larger innovation says no more than this one, in its own unit."""
 
-INNOVATION_ODD = {
-    "innovation_yaw_rate [rad/s]": True,
-    "innovation_ay [m/s^2]": True,
-    "innovation_vx [m/s]": False,
-    "innovation_vy [m/s]": True,
-}
-"""Whether an innovation changes sign in a mirrored drive; which filter gives which stands in its `extras`."""
-
 STEADY_SLIP = "steady slip of the linear rear tyre [rad]"
 SPREAD = "spread of beta [rad]"
 
@@ -149,7 +141,7 @@ def layout(filters: list[str]) -> Layout:
     plain[: BETAS + len(filters)] = True
     plain[channels.index(SPREAD)] = False
     first = len(channels) - len(innovations)
-    odd[first:] = [INNOVATION_ODD[innovation] for _, innovation in innovations]
+    odd[first:] = [innovation in CATALOGUE[name].load().odd_innovations for name, innovation in innovations]
     slip[ODD.index(STEADY_SLIP)] = True
     slip[BETAS : BETAS + len(filters)] = True
     names = (

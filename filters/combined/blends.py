@@ -24,7 +24,7 @@ import numpy as np
 from crosscomb.filters import columns as at
 from crosscomb.filters.algebra.dense import copy_into
 from crosscomb.filters.base import Gaussian, KernelFilter, below_gate, gaussian
-from crosscomb.filters.kinematic.kf import KinematicNoise, kinematic_state, kinematic_step
+from crosscomb.filters.kinematic.kf import KinematicKF, KinematicNoise, kinematic_state, kinematic_step
 from crosscomb.filters.single_track.ekf import DynamicNoise, dynamic_step
 from crosscomb.models.compiled import inlined, kernel
 
@@ -147,6 +147,7 @@ class FuzzyBlend(_Blend):
 
     noise: FuzzyNoise = FuzzyNoise()
 
+    divisors = (*KinematicKF.divisors, "memory")
     run_kernel = staticmethod(fuzzy_run)
     extras = ("steady_state_index [-]",)
 
@@ -157,4 +158,5 @@ class CovarianceFusion(_Blend):
 
     noise: FusionNoise = FusionNoise()
 
+    divisors = KinematicKF.divisors
     run_kernel = staticmethod(fusion_run)

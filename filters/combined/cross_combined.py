@@ -19,7 +19,13 @@ from crosscomb.filters import columns as at
 from crosscomb.filters.algebra.dense import copy_into
 from crosscomb.filters.base import Gaussian, KernelFilter, below_gate
 from crosscomb.filters.combined.blends import mix
-from crosscomb.filters.kinematic.kf import KinematicNoise, kinematic_state, kinematic_step, velocity_update
+from crosscomb.filters.kinematic.kf import (
+    KinematicKF,
+    KinematicNoise,
+    kinematic_state,
+    kinematic_step,
+    velocity_update,
+)
 from crosscomb.filters.planar.shared import PlanarNoise
 from crosscomb.filters.planar.ukf import SigmaPointState, SimpleUKF, sigma_point_step
 from crosscomb.models.compiled import inlined, kernel
@@ -97,6 +103,7 @@ class CrossCombinedUKF(KernelFilter):
     tyre: str = "pacejka"
     track: str = "single"
 
+    divisors = (*KinematicKF.divisors, "turning", "turning_width", "moving_width")
     run_kernel = staticmethod(cross_run)
     choices = {"tyre": ("pacejka",), "track": TRACKS}  # noqa: RUF012
     extras = ("kinematic_share [-]",)

@@ -135,6 +135,7 @@ class _Bank(KernelFilter):
     noise: ModelNoise = ModelNoise()
     low_friction: float = 0.3
 
+    divisors = (*KernelFilter.divisors, "surprise", "stay", "low_friction")
     extras = ("probability_dynamic [-]", "probability_low_friction [-]", "probability_kinematic [-]")
 
     @cached_property

@@ -218,6 +218,7 @@ class GnssKinematicKF(KernelFilter):
 
     noise: GnssKinematicNoise = GnssKinematicNoise()
 
+    divisors = (*KernelFilter.divisors, "bias_time", "outage")
     run_kernel = staticmethod(gnss_kinematic_run)
 
     def make_state(self) -> Any:

@@ -339,7 +339,9 @@ class KinematicKF(KernelFilter):
 
     noise: KinematicNoise = KinematicNoise()
 
+    divisors = (*KernelFilter.divisors, "rolling", "demand", "disagreement", "bias_time")
     extras = ("innovation_vx [m/s]", "innovation_vy [m/s]")
+    odd_innovations = extras[1:]
     told_by_likelihood = ("accel", "speed", "accel_bias")
     run_kernel = staticmethod(kinematic_run)
 

@@ -172,6 +172,7 @@ class ZeroYawKF(KernelFilter):
 
     noise: ZeroYawNoise = ZeroYawNoise()
 
+    divisors = (*KernelFilter.divisors, "pseudo", "turning", "bias_time")
     run_kernel = staticmethod(zero_yaw_run)
 
     def make_state(self) -> Gaussian:
@@ -185,6 +186,7 @@ class BlendKF(KernelFilter):
 
     noise: BlendNoise = BlendNoise()
 
+    divisors = (*KernelFilter.divisors, "turning", "bias_time")
     told_by_likelihood = ("accel", "speed", "accel_bias")
     run_kernel = staticmethod(blend_run)
 

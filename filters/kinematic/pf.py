@@ -22,6 +22,7 @@ from crosscomb.filters.base import KernelFilter, starting
 from crosscomb.filters.kinematic.kf import (
     BIAS_AX,
     BIAS_AY,
+    KinematicKF,
     KinematicNoise,
     inertial_known,
     rolling_measurement,
@@ -151,6 +152,7 @@ class KinematicPF(KernelFilter):
     resampling: str = "systematic"
     seed: int = 0
 
+    divisors = KinematicKF.divisors
     choices: ClassVar = {**KernelFilter.choices, "resampling": tuple(RESAMPLING)}
     run_kernel = staticmethod(kinematic_particle_run)
 

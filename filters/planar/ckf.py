@@ -326,6 +326,7 @@ class CubatureHybridKF(CubatureRecedingHorizonKF):
 
     memory: float = 0.5
 
+    divisors = (*PlanarFilter.divisors, "memory")
     run_kernel = staticmethod(hybrid_run)
 
     def make_state(self) -> HybridState:  # type: ignore[override]

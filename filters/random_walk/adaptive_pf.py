@@ -119,6 +119,7 @@ class AdaptivePF(KernelFilter):
     resampling: str = "systematic"
     seed: int = 0
 
+    divisors = (*KernelFilter.divisors, "pseudo")
     choices: ClassVar = {**KernelFilter.choices, "resampling": tuple(RESAMPLING)}
     extras = ("particles [1]",)
     run_kernel = staticmethod(adaptive_run)

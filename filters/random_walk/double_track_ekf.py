@@ -280,6 +280,7 @@ class DoubleTrackRandomWalkEKF(KernelFilter):
     yaw_moment: str = "free"
     measured: str = "u_r_ay"
 
+    divisors = (*KernelFilter.divisors, "slip", "yaw_moment")
     run_kernel = staticmethod(double_walk_run)
     choices: ClassVar[dict[str, tuple[str, ...]]] = {
         "tyre": ("linear",),

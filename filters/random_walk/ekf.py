@@ -221,6 +221,7 @@ class RandomWalkEKF(KernelFilter):
     tyre: str = "linear"
     slip_from: str = "linear"
 
+    divisors = (*KernelFilter.divisors, "slip", "split")
     run_kernel = staticmethod(walk_run)
     choices: ClassVar[dict[str, tuple[str, ...]]] = {"tyre": ("linear",), "slip_from": tuple(SLIP_SOURCES)}
     extras: ClassVar[tuple[str, ...]] = FORCE_EXTRAS

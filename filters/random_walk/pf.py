@@ -217,6 +217,7 @@ class RandomWalkPF(KernelFilter):
     resampling: str = "systematic"
     seed: int = 0
 
+    divisors = (*KernelFilter.divisors, "pseudo")
     choices: ClassVar = {**KernelFilter.choices, "resampling": tuple(RESAMPLING)}
     # Not the EKF's, nor how far it is trusted: its beta is no measurement of the car.
     told_by_likelihood = ("force", "yaw_acceleration", "slip_rate", "yaw_rate", "accel")

@@ -275,6 +275,7 @@ class RaoBlackwellPF(KernelFilter):
     resampling: str = "systematic"
     seed: int = 0
 
+    divisors = (*KernelFilter.divisors, "pseudo")
     choices: ClassVar = {**KernelFilter.choices, "resampling": tuple(RESAMPLING)}
     extras = ("fyf [N]", "fyr [N]")
     run_kernel = staticmethod(blackwell_run)

@@ -222,6 +222,7 @@ class DualEKF(KernelFilter):
     noise: DualNoise = DualNoise()
     tyre: str = "rational"
 
+    divisors = RATTE.divisors
     told_by_likelihood = ("yaw_acceleration", "slip_rate", "yaw_rate", "ay")
     run_kernel = staticmethod(dual_run)
     choices: ClassVar[dict[str, tuple[str, ...]]] = {"tyre": ("rational",)}

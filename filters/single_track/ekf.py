@@ -111,5 +111,6 @@ class DynamicEKF(KernelFilter):
     noise: DynamicNoise = DynamicNoise()
 
     extras = ("innovation_yaw_rate [rad/s]", "innovation_ay [m/s^2]")
+    odd_innovations = extras
     told_by_likelihood = ("yaw_acceleration", "slip_rate", "yaw_rate", "ay")
     run_kernel = staticmethod(dynamic_run)

@@ -142,6 +142,7 @@ class GnssDynamicObserver(KernelFilter):
 
     noise: GnssDynamicNoise = GnssDynamicNoise()
 
+    divisors = (*KernelFilter.divisors, "disturbance_time")
     run_kernel = staticmethod(gnss_dynamic_run)
 
     def make_state(self) -> Any:

@@ -209,6 +209,7 @@ class Luenberger(KernelFilter):
 
     noise: ObserverGains = ObserverGains()
 
+    divisors = (*KernelFilter.divisors, "memory")
     run_kernel = staticmethod(luenberger_run)
 
     def make_state(self) -> Any:
@@ -222,6 +223,7 @@ class ExtendedLuenberger(KernelFilter):
 
     noise: ObserverGains = ObserverGains()
 
+    divisors = (*KernelFilter.divisors, "memory")
     run_kernel = staticmethod(extended_run)
 
     def make_state(self) -> Any:
@@ -235,6 +237,7 @@ class SlidingMode(KernelFilter):
 
     noise: SlidingGains = SlidingGains()
 
+    divisors = (*KernelFilter.divisors, "memory", "yaw_layer", "ay_layer")
     run_kernel = staticmethod(sliding_run)
 
     def make_state(self) -> Any:

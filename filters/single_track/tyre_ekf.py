@@ -225,6 +225,7 @@ class RATT(KernelFilter):
     noise: TyreNoise = TyreNoise()
     tyre: str = "rational"
 
+    divisors = (*KernelFilter.divisors, "parameter_range")
     run_kernel = staticmethod(tyre_run)
     choices: ClassVar[dict[str, tuple[str, ...]]] = {"tyre": ("rational",)}
 
