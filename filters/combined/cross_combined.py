@@ -10,14 +10,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from crosscomb.filters import columns as at
 from crosscomb.filters.algebra.dense import copy_into
-from crosscomb.filters.base import Gaussian, KernelFilter, below_gate
+from crosscomb.filters.base import Gaussian, below_gate
 from crosscomb.filters.combined.blends import mix
 from crosscomb.filters.kinematic.kf import (
     KinematicKF,
@@ -26,10 +25,9 @@ from crosscomb.filters.kinematic.kf import (
     kinematic_step,
     velocity_update,
 )
-from crosscomb.filters.planar.shared import PlanarNoise
+from crosscomb.filters.planar.shared import PlanarFilter, PlanarNoise
 from crosscomb.filters.planar.ukf import SigmaPointState, SimpleUKF, sigma_point_step
 from crosscomb.models.compiled import inlined, kernel
-from crosscomb.models.planar import TRACKS, PlanarCar, planar_car
 
 
 class CrossNoise(NamedTuple):
@@ -96,22 +94,14 @@ def cross_run(state, samples, car, noise, dt, out):
 
 
 @dataclass(frozen=True)
-class CrossCombinedUKF(KernelFilter):
+class CrossCombinedUKF(PlanarFilter):
     """Kinematic Kalman filter and simple unscented filter, weighted by speed and yaw rate."""
 
-    noise: CrossNoise = CrossNoise()
-    tyre: str = "pacejka"
-    track: str = "single"
+    noise: CrossNoise = CrossNoise()  # type: ignore[assignment]
 
     divisors = (*KinematicKF.divisors, "turning", "turning_width", "moving_width")
     run_kernel = staticmethod(cross_run)
-    choices = {"tyre": ("pacejka",), "track": TRACKS}  # noqa: RUF012
     extras = ("kinematic_share [-]",)
-
-    @cached_property
-    def car(self) -> PlanarCar:  # type: ignore[override]
-        """Parameters as the kernels take them."""
-        return planar_car(self.vehicle, self.track)
 
     def make_state(self) -> Any:
         """Make both members before the first sample."""

@@ -57,7 +57,7 @@ class PlanarFilter(KernelFilter):
     tyre: str = "pacejka"
     track: str = "single"
 
-    choices: ClassVar[dict[str, tuple[str, ...]]] = {"tyre": ("pacejka",), "track": TRACKS}
+    choices: ClassVar = {"tyre": ("pacejka",), "track": TRACKS}
 
     @cached_property
     def car(self) -> PlanarCar:  # type: ignore[override]

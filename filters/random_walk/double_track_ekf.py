@@ -282,13 +282,13 @@ class DoubleTrackRandomWalkEKF(KernelFilter):
 
     divisors = (*KernelFilter.divisors, "slip", "yaw_moment")
     run_kernel = staticmethod(double_walk_run)
-    choices: ClassVar[dict[str, tuple[str, ...]]] = {
+    choices: ClassVar = {
         "tyre": ("linear",),
         "slip_from": tuple(SLIP_SOURCES),
         "yaw_moment": tuple(YAW_MOMENTS),
         "measured": tuple(MEASURED),
     }
-    extras: ClassVar[tuple[str, ...]] = FORCE_EXTRAS
+    extras = FORCE_EXTRAS
 
     @cached_property
     def car(self) -> Any:

@@ -223,8 +223,8 @@ class RandomWalkEKF(KernelFilter):
 
     divisors = (*KernelFilter.divisors, "slip", "split")
     run_kernel = staticmethod(walk_run)
-    choices: ClassVar[dict[str, tuple[str, ...]]] = {"tyre": ("linear",), "slip_from": tuple(SLIP_SOURCES)}
-    extras: ClassVar[tuple[str, ...]] = FORCE_EXTRAS
+    choices: ClassVar = {"tyre": ("linear",), "slip_from": tuple(SLIP_SOURCES)}
+    extras = FORCE_EXTRAS
 
     @cached_property
     def car(self) -> Any:
