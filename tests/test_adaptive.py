@@ -11,17 +11,15 @@ from scipy.stats import chi2
 from crosscomb.filters import base
 from crosscomb.filters import columns as at
 from crosscomb.filters.base import Inputs, KernelFilter
-from crosscomb.filters.catalogue import CATALOGUE, make_filter, settings_of
+from crosscomb.filters.catalogue import make_filter
 from crosscomb.filters.single_track.dual_ekf import DualEKF, DualNoise
 from crosscomb.filters.single_track.friction_ekf import FrictionAdaptiveEKF, FrictionNoise
 from crosscomb.filters.single_track.tyre_ekf import LINT, RATES, RATT, RATTE, TyreNoise
 from crosscomb.filters.twins.table import TWINS
 from crosscomb.models import parameter_track as track_model
 from crosscomb.models.single_track import SingleTrack, single_track
-from crosscomb.models.vehicle import load_vehicle
+from drives import DT, GOLF, nonsense, rmse_deg
 
-GOLF = load_vehicle("golf_gti_2018")
-DT = 0.01
 NAMES = ("lint_ekf", "ratt_ekf", "ratte_ekf", "dual_ekf", "friction_adaptive_ekf")
 LAW_OF = {"lint_ekf": "linear", "ratt_ekf": "rational", "ratte_ekf": "rational", "dual_ekf": "rational"}
 
@@ -60,10 +58,6 @@ def slalom(seconds: float, amplitude: float) -> np.ndarray:
     return amplitude * np.sin(2.0 * np.pi * 0.4 * np.arange(0.0, seconds, DT))
 
 
-def rmse_deg(beta: np.ndarray, truth: np.ndarray) -> float:
-    return float(np.degrees(np.sqrt(np.mean((beta - truth) ** 2))))
-
-
 # --- filters ----------------------------------------------------------------------------------------------
 
 
@@ -99,28 +93,9 @@ def test_kernel_agrees_with_its_twin_on_filterpy(name: str, rough: Inputs) -> No
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_step_by_step_gives_the_bits_of_the_batch(name: str, rough: Inputs) -> None:
-    estimator = make_filter(name, GOLF)
-    batch, started = estimator.run(rough), estimator.start(rough.dt)
-    for k, sample in enumerate(rough.samples):
-        step = estimator.advance(started, sample[None])
-        assert (step.beta[0], step.beta_std[0]) == (batch.beta[k], batch.beta_std[k])
-        assert [values[0] for values in step.extra.values()] == [values[k] for values in batch.extra.values()]
-
-
-@pytest.mark.parametrize("name", NAMES)
 def test_nonsense_leaves_the_estimate_finite_and_the_tyres_in_range(name: str) -> None:
-    rng = np.random.default_rng(7)
-    samples = np.zeros((2000, at.SAMPLE_WIDTH))
-    samples[:, at.VX] = np.abs(20.0 + np.cumsum(rng.normal(0.0, 0.5, 2000)))
-    samples[:, [at.AX, at.AY]] = rng.normal(0.0, 30.0, (2000, 2))
-    samples[:, at.YAW_RATE] = rng.normal(0.0, 5.0, 2000)
-    samples[:, at.STEER] = rng.uniform(-0.7, 0.7, 2000)
-    samples[:, [at.FXF, at.FXR]] = rng.normal(0.0, 2e4, (2000, 2))
-    samples[rng.random(2000) < 0.3, at.AY] = np.nan
-    samples[700:900, [at.AX, at.AY, at.YAW_RATE]] = np.nan
     estimator = make_filter(name, GOLF)
-    result = estimator.run(Inputs(DT, samples))
+    result = estimator.run(nonsense(held=False))
     assert np.isfinite(result.beta).all()
     assert np.isfinite(result.beta_std).all()
     assert np.abs(result.beta).max() <= base.MAX_BETA
@@ -391,10 +366,3 @@ def test_friction_is_never_below_the_acceleration_in_use() -> None:
     used[np.abs(inputs.samples[:, at.AY]) <= 1.0] = 0.0
     assert used.max() > 0.5
     assert (result.extra["friction [-]"][1:] >= used[1:] - 1e-3).all()
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_catalogue_makes_the_filter_from_its_own_settings(name: str) -> None:
-    estimator = make_filter(name, GOLF)
-    assert make_filter(name, GOLF, settings_of(estimator)) == estimator
-    assert CATALOGUE[name].source

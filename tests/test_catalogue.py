@@ -1,79 +1,44 @@
 """What every estimator of the catalogue must do, whatever it is."""
 
-import json
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
 
 from crosscomb.errors import UsageError
 from crosscomb.filters import columns as at
-from crosscomb.filters.base import make_inputs
+from crosscomb.filters.base import LOW_SPEED_STD, make_inputs
 from crosscomb.filters.catalogue import CATALOGUE, make_filter, settings_of
 from crosscomb.logs.grid import to_grid
 from crosscomb.logs.prepare import complete
 from crosscomb.logs.read import read_log
+from crosscomb.models.kinematic import slip_of_rolling_rear
 from crosscomb.models.vehicle import load_vehicle
 from crosscomb.signals import MIN_SPEED
-from crosscomb.training.simulation.simulate import simulate_log
-
-CAR = load_vehicle("generic_compact")
-DEAR = {"random_walk_pf", "adaptive_pf", "dynamic_pf", "kinematic_pf"}
-"""Particle filters run with fewer particles here: it is their conduct that is tested."""
-
-
-def quick(name, car=CAR):
-    """Make an estimator that does not hold up the tests."""
-    settings = (
-        {"particles": 200} if name in DEAR and "particles" in settings_of(make_filter(name, car)) else {}
-    )
-    return make_filter(name, car, settings)
-
-
-@pytest.fixture(scope="module")
-def inputs():
-    """Samples of a lively log with holes in every channel, a stop and a start."""
-    log = complete(simulate_log(CAR, "double_lane_change", seed=5, surface="wet", duration=12.0), CAR)
-    samples = make_inputs(to_grid(log, 100.0)[0].signals, CAR, 0.01)
-    table = samples.samples.copy()
-    rng = np.random.default_rng(1)
-    for column in (1, 2, 3):  # ax, ay, yaw rate
-        table[rng.random(len(table)) < 0.02, column] = np.nan
-    table[400:500, 1:4] = np.nan
-    table[700:760, 0] = 0.5
-    return replace(samples, samples=table)
+from drives import GOLF, limit_slalom, named
+from estimator_cases import CAR, SHORT, quick
+from estimator_checks import assert_same_bits, assert_sound, by_steps, lively
 
 
 @pytest.mark.parametrize("name", CATALOGUE)
-def test_steps_equal_the_batch_and_nothing_is_changed(name, inputs):
-    estimator = quick(name)
-    before = inputs.samples.copy()
-    batch = estimator.run(inputs)
-    started = estimator.start(inputs.dt)
-    steps = np.array([estimator.step(started, sample) for sample in inputs.samples])
-    np.testing.assert_array_equal(steps.T, [batch.beta, batch.beta_std, batch.nis])
-    np.testing.assert_array_equal(inputs.samples, before)
-    assert set(batch.extra) == set(estimator.extras)
+def test_the_first_sample_above_the_gate_is_still_a_rolling_car(name):
+    for inputs in (named("with gaps"), limit_slalom()):
+        slow = ~(inputs.samples[:, at.VX] > MIN_SPEED)
+        after = np.flatnonzero(~slow & np.roll(slow, 1))
+        assert len(after) > 3
+        estimate = quick(name, GOLF).run(inputs)
+        angles = inputs.samples[after][:, [at.STEER, at.STEER_REAR]]
+        rolling = [slip_of_rolling_rear(*row, GOLF.cg_to_front_axle, GOLF.cg_to_rear_axle) for row in angles]
+        np.testing.assert_array_equal(estimate.beta[after], rolling)
+        np.testing.assert_array_equal(estimate.beta_std[after], LOW_SPEED_STD)
+        assert np.isnan(estimate.nis[after]).all()
 
 
-@pytest.mark.parametrize("name", CATALOGUE)
-def test_answers_are_finite_and_std_is_positive(name, inputs):
-    estimate = quick(name).run(inputs)
-    assert np.isfinite(estimate.beta).all()
-    assert np.isfinite(estimate.beta_std).all()
-    assert (estimate.beta_std > 0.0).all()
-    nothing = replace(inputs, samples=np.full((50, at.SAMPLE_WIDTH), np.nan))
-    nothing.samples[:, [0, 4, 5, 6, 7, 8, 9]] = 0.0  # what make_inputs always fills
-    assert np.isfinite(quick(name).run(nothing).beta).all()
-
-
-@pytest.mark.parametrize("name", CATALOGUE)
-def test_settings_survive_a_json_file(name):
-    estimator = make_filter(name, CAR)
-    read = json.loads(json.dumps(settings_of(estimator)))
-    assert make_filter(name, CAR, read) == estimator
-    with pytest.raises(UsageError, match="unknown setting"):
-        make_filter(name, CAR, {"no_such_setting": 1.0})
+@pytest.mark.parametrize("name", SHORT)
+def test_the_whole_horizon_steps_as_the_batch(name):
+    assert_same_bits(by_steps(quick(name), lively()), quick(name).run(lively()))
+    assert_sound(partial(quick, name), lively())
 
 
 def zeroed(settings, path=()):
@@ -87,8 +52,8 @@ def zeroed(settings, path=()):
 
 
 @pytest.mark.parametrize("name", CATALOGUE)
-def test_a_setting_of_zero_is_refused_in_one_line_or_harmless(name, inputs):
-    short, refused = replace(inputs, samples=inputs.samples[350:800]), {}
+def test_a_setting_of_zero_is_refused_in_one_line_or_harmless(name):
+    short, refused = replace(lively(), samples=lively().samples[350:800]), {}
     for place, settings in zeroed(settings_of(quick(name))):
         if place[0] == "network":
             continue

@@ -16,6 +16,8 @@ from crosscomb.models.vehicle import load_vehicle
 from crosscomb.run.estimate import estimate_log
 from crosscomb.selection.artefact import load_artefact
 from crosscomb.training.simulation.simulate import simulate_log
+from drives import GOLF
+from estimator_checks import CHECKS
 
 TEXT = (Path(__file__).resolve().parents[1] / "CONTRIBUTING.md").read_text(encoding="utf-8")
 BLOCKS = re.findall(r"```python\n(.*?)```", TEXT, flags=re.DOTALL)
@@ -48,9 +50,11 @@ def test_example_is_short_and_estimates_steady_cornering(example):
     late = segment.t > 15.0
     assert np.degrees(np.abs(segment.beta_ref[late])).mean() > 0.5
     assert np.degrees(np.sqrt(np.mean((estimate.beta - segment.beta_ref)[late] ** 2))) < 0.5
-    started = estimator.start(0.01)
-    steps = np.array([estimator.step(started, sample) for sample in inputs.samples])
-    np.testing.assert_array_equal(steps[:, 0], estimate.beta)
+
+
+@pytest.mark.parametrize("check", CHECKS, ids=lambda check: check.__name__)
+def test_example_does_what_every_estimator_must(example, check):
+    check(lambda: catalogue.make_filter(example, GOLF))
 
 
 def test_example_is_taken_by_name_in_an_estimate(example):

@@ -20,12 +20,8 @@ from crosscomb.filters.twins.table import TWINS
 from crosscomb.logs.prepare import complete
 from crosscomb.models.kinematic import input_gain, rotation, slip_of_rolling_rear
 from crosscomb.models.single_track import single_track_rates, stable_substeps
-from crosscomb.models.vehicle import load_vehicle
-from crosscomb.training.simulation.simulate import simulate_log
+from drives import DT, FIXES, GOLF, simulated_log, without
 
-DT = 0.01
-GOLF = load_vehicle("golf_gti_2018")
-FIXES = [at.GNSS_SPEED, at.GNSS_COURSE, at.HEADING]
 FILTERS: list[KernelFilter] = [GnssKinematicKF(GOLF), GnssDynamicObserver(GOLF)]
 each_filter = pytest.mark.parametrize("estimator", FILTERS, ids=["kinematic", "dynamic"])
 
@@ -33,7 +29,7 @@ each_filter = pytest.mark.parametrize("estimator", FILTERS, ids=["kinematic", "d
 def drive(manoeuvre: str, seed: int = 7, duration: float = 20.0) -> tuple[Inputs, np.ndarray]:
     """A simulated drive seen by production sensors and two antennas at 5 Hz, and its true beta ``(n,)``."""
     log, true = (
-        simulate_log(GOLF, manoeuvre, seed, duration=duration, surface="dry", faults=faults)
+        simulated_log(GOLF, manoeuvre, seed, duration=duration, surface="dry", faults=faults)
         for faults in (True, False)
     )
     inputs, rng, n = make_inputs(complete(log, GOLF), GOLF, DT), np.random.default_rng(seed), len(log)
@@ -47,12 +43,6 @@ def drive(manoeuvre: str, seed: int = 7, duration: float = 20.0) -> tuple[Inputs
         angle = value if column == at.GNSS_SPEED else np.arctan2(np.sin(value), np.cos(value))
         inputs.samples[:, column] = np.where(fix, angle, np.nan)
     return inputs, beta
-
-
-def without(inputs: Inputs, columns: list[int], rows: slice = slice(None)) -> Inputs:
-    samples = inputs.samples.copy()
-    samples[rows, columns] = np.nan
-    return replace(inputs, samples=samples)
 
 
 def rmse(estimator: KernelFilter, inputs: Inputs, beta: np.ndarray, rows: slice = slice(200, None)) -> float:

@@ -10,21 +10,19 @@ from scipy.stats import chi2
 from crosscomb.filters import base
 from crosscomb.filters import columns as at
 from crosscomb.filters.base import Inputs
-from crosscomb.filters.catalogue import make_filter, settings_of
+from crosscomb.filters.catalogue import make_filter
 from crosscomb.filters.random_walk.double_track_ekf import DoubleTrackRandomWalkEKF, DoubleWalkNoise
 from crosscomb.filters.random_walk.ekf import FORCE_EXTRAS, RandomWalkEKF, WalkNoise
 from crosscomb.filters.twins.table import TWINS
 from crosscomb.models.planar import COS, SIDE_ARM, SIN, contacts, planar_car, set_contacts
 from crosscomb.models.random_walk import random_walk_jacobian, random_walk_rates
 from crosscomb.models.single_track import single_track, single_track_rates
-from crosscomb.models.vehicle import load_vehicle
 from crosscomb.signals import GRAVITY
 from crosscomb.training.simulation.simulate import simulate_log
 from crosscomb.training.suites.papers_adaptive import EVOQUE, RAMP_BAR, pieralice_figure_2, ramp_steer
+from drives import DT, GOLF, nonsense, rmse_deg
 
-GOLF = load_vehicle("golf_gti_2018")
 CAR = single_track(GOLF)
-DT = 0.01
 BOTH = ("random_walk_ekf", "double_track_random_walk_ekf")
 
 
@@ -44,10 +42,6 @@ def drive(seconds: float, amplitude: float, noise: float = 0.0, seed: int = 0) -
         samples[k, :5] = 20.0, ax, ay, yaw_rate, angle
     samples[:, 1:4] += noise * rng.normal(size=(len(steer), 3)) * [0.2, 0.2, 0.005]
     return Inputs(DT, samples), truth
-
-
-def rmse_deg(beta: np.ndarray, truth: np.ndarray) -> float:
-    return float(np.degrees(np.sqrt(np.mean((beta - truth) ** 2))))
 
 
 def inside(total: float, degrees: int) -> None:
@@ -90,17 +84,6 @@ def agree(found: base.Estimate, expected: base.Estimate) -> None:
     np.testing.assert_allclose(found.nis, expected.nis, rtol=1e-6, atol=1e-9)
 
 
-@pytest.mark.parametrize("name", BOTH)
-def test_step_by_step_gives_the_bits_of_the_batch(name: str, rough: Inputs) -> None:
-    estimator = make_filter(name, GOLF)
-    assert make_filter(name, GOLF, settings_of(estimator)) == estimator
-    batch, started = estimator.run(rough), estimator.start(rough.dt)
-    for k, sample in enumerate(rough.samples):
-        step = estimator.advance(started, sample[None])
-        assert (step.beta[0], step.beta_std[0]) == (batch.beta[k], batch.beta_std[k])
-        assert [values[0] for values in step.extra.values()] == [values[k] for values in batch.extra.values()]
-
-
 SETTINGS = [
     (RandomWalkEKF, {"slip_from": "linear"}),
     (RandomWalkEKF, {"slip_from": "geometric"}),
@@ -113,17 +96,7 @@ SETTINGS = [
 
 @pytest.mark.parametrize(("cls", "settings"), SETTINGS)
 def test_nonsense_leaves_the_estimate_finite(cls: type, settings: dict[str, str]) -> None:
-    rng = np.random.default_rng(7)
-    samples = np.zeros((2000, at.SAMPLE_WIDTH))
-    samples[:, at.VX] = np.abs(20.0 + np.cumsum(rng.normal(0.0, 0.5, 2000)))
-    samples[:, [at.AX, at.AY]] = rng.normal(0.0, 30.0, (2000, 2))
-    samples[:, at.YAW_RATE] = rng.normal(0.0, 5.0, 2000)
-    samples[:, at.STEER] = rng.uniform(-0.7, 0.7, 2000)
-    samples[:, [at.FXF, at.FXR]] = rng.normal(0.0, 2e4, (2000, 2))
-    samples[rng.random(2000) < 0.3, at.AY] = np.nan
-    samples[700:900, at.AX : at.STEER] = np.nan
-    samples[700:900, at.VX_HELD] = 1.0
-    result = cls(GOLF, **settings).run(Inputs(DT, samples))
+    result = cls(GOLF, **settings).run(nonsense())
     for values in (result.beta, result.beta_std, *result.extra.values()):
         assert np.isfinite(values).all()
     assert np.abs(result.beta).max() <= base.MAX_BETA + 1e-9

@@ -1,0 +1,10 @@
+"""What every estimator must do, asked of those in `crosscomb.filters.kinematic`."""
+
+import pytest
+
+from estimator_cases import contract
+
+
+@pytest.mark.parametrize(("make", "check"), contract("kinematic"))
+def test_contract(make, check):
+    check(make)

@@ -1,0 +1,10 @@
+"""What every estimator must do, asked of those in `crosscomb.filters.planar`."""
+
+import pytest
+
+from estimator_cases import contract
+
+
+@pytest.mark.parametrize(("make", "check"), contract("planar"))
+def test_contract(make, check):
+    check(make)
