@@ -19,7 +19,7 @@ from crosscomb.run.handling import STATES
 from crosscomb.selection.artefact import load_artefact
 from crosscomb.training.simulation.presets import plan_jobs
 from crosscomb.training.simulation.simulate import simulate_log
-from crosscomb.training.suites.handling import count_states, true_states
+from handling_score import count_states, true_states
 
 VEHICLES = ("generic_compact", "sports_mid_engine", "golf_gti_2018")
 

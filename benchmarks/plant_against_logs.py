@@ -15,7 +15,7 @@ import pandas as pd
 
 from crosscomb.models.vehicle import load_vehicle
 from crosscomb.signals import GRAVITY, MIN_SPEED, Signals, make_signals
-from crosscomb.training.simulation.replay import replay_linear, replay_plant
+from replay import replay_linear, replay_plant
 
 RESULTS = Path(__file__).resolve().parents[1] / "docs" / "results.md"
 BEGIN, END = "<!-- plant:begin -->", "<!-- plant:end -->"

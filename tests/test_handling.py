@@ -27,7 +27,7 @@ from crosscomb.selection.artefact import Artefact, load_artefact
 from crosscomb.signals import Signals, make_signals
 from crosscomb.training.recordings import find_logs
 from crosscomb.training.simulation.simulate import simulate_log
-from crosscomb.training.suites.handling import count_states, true_slips, true_states
+from handling_score import count_states, true_slips, true_states
 
 CAR = load_vehicle("generic_compact")
 DT = 0.01

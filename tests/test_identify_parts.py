@@ -25,8 +25,8 @@ from crosscomb.training.identification.sensors import kinematics
 from crosscomb.training.identification.trace import RATE, Trace, low_pass, make_trace, settled
 from crosscomb.training.identification.tyres import AxleCurve, _curve
 from crosscomb.training.recordings import Recording
-from crosscomb.training.simulation.replay import replay_linear
 from crosscomb.training.simulation.simulate import simulate_log
+from replay import replay_linear
 
 CAR = load_vehicle("generic_compact")
 PLAIN = CAR.model_copy(

@@ -6,8 +6,8 @@ import pytest
 
 from crosscomb.models.vehicle import load_vehicle
 from crosscomb.signals import make_signals
-from crosscomb.training.simulation.replay import replay_linear, replay_plant
 from crosscomb.training.simulation.simulate import simulate_log
+from replay import replay_linear, replay_plant
 
 
 def rmse(error: np.ndarray) -> float:
