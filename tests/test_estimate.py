@@ -354,7 +354,7 @@ def test_the_given_vehicle_wins_then_the_one_beside_then_the_artefact(car, artef
     generic, _, warning = choose_vehicle(log, None, artefact.vehicle)
     assert generic == load_vehicle("generic_compact")
     assert str(log) in warning
-    assert "--vehicle" in warning
+    assert "`vehicle`" in warning
     beside_file = write_vehicle(tmp_path, beside)
     assert choose_vehicle(log, None, trained)[0].name == "beside"
     assert choose_vehicle(log, None, artefact.vehicle)[1:] == (str(beside_file), "")
@@ -366,7 +366,7 @@ def test_hand_wheel_only_needs_a_known_car(lively, car, artefact, write_log, wri
     path = write_log(lively.frame.drop(columns="steer"), tmp_path / "log.csv")
     with pytest.raises(UsageError) as caught:
         open_logs([path], artefact.vehicle)
-    for word in (str(path), "steer_wheel", "--vehicle"):
+    for word in (str(path), "steer_wheel", "`vehicle`"):
         assert word in str(caught.value)
     assert open_logs([path], artefact.vehicle, "generic_compact")[0].vehicle.name == car.name
     write_vehicle(tmp_path, car)

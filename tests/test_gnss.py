@@ -266,8 +266,8 @@ CASES = {
 @pytest.mark.parametrize("name", CASES)
 def test_errors_are_as_large_as_the_filter_says(name) -> None:
     estimator, case = CASES[name]
-    rng, at = np.random.default_rng(5), range(40, STEPS, 50)
-    nees, nis, measured = dict.fromkeys(at, 0.0), 0.0, 0
+    rng, taken = np.random.default_rng(5), range(40, STEPS, 50)
+    nees, nis, measured = dict.fromkeys(taken, 0.0), 0.0, 0
     for _ in range(RUNS):
         samples, truth = case(rng)
         started = estimator.start(DT)

@@ -213,8 +213,8 @@ def matched_drive(estimator: KernelFilter, rng: np.random.Generator) -> tuple[np
 def test_errors_are_as_large_as_the_filter_says(estimator) -> None:
     # A small error of speed, as the steady slip and the tyres take the measured speed as true.
     estimator = replace(estimator, noise=estimator.noise._replace(speed=0.02, accel=0.3))
-    rng, at = np.random.default_rng(6), (40, 90, 149)
-    nees, nis, count = dict.fromkeys(at, 0.0), 0.0, 0
+    rng, taken = np.random.default_rng(6), (40, 90, 149)
+    nees, nis, count = dict.fromkeys(taken, 0.0), 0.0, 0
     for _ in range(RUNS):
         samples, truth = matched_drive(estimator, rng)
         started = estimator.start(DT)

@@ -186,7 +186,7 @@ def test_the_likelihood_of_the_particle_filter_is_the_mean_density_of_its_partic
     state = filter_.make_state()._replace(evidence=np.zeros(1))
     samples = np.zeros((2, at.SAMPLE_WIDTH))
     samples[:, [at.VX, at.AX, at.AY, at.YAW_RATE]] = 20.0, 0.3, 2.0, 0.12
-    started = Started(DT, state, np.empty(3))
+    started = Started(DT, state)
     filter_.step(started, samples[0])
     assert state.evidence[0] == 0.0  # where it starts nothing is weighed
     before = state.x.copy()
