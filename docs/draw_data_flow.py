@@ -72,7 +72,7 @@ BOXES = {
     "run": Box("run", "carries samples through the stations, a log at once or live",
                FIRST, column(5)[1] + STEP * 5 + 28, 116, 62, "#eeeeee", wide=True),
     "models": Box("models", "equations of car and tyre",
-                  *column(0, 3), ROW + ROW_HEIGHT + 58, 96, "#fdf3d8", wide=True),
+                  *column(0, 3), ROW + ROW_HEIGHT + 58, 108, "#fdf3d8", wide=True),
     "sklearn_api": Box("sklearn_api", "for notebooks",
                        *column(4, 2), ROW + ROW_HEIGHT + 74, 62, "#e6f4e6", wide=True),
     "training": Box("training", "beside the stations: makes the artefact that holds the selector",
@@ -177,7 +177,7 @@ def way(used: str, user: str) -> list[tuple[float, float]]:
     a, b = BOXES[used], BOXES[user]
     below_row = ROW + ROW_HEIGHT
     if {used, user} == {"run", "training"}:  # through the gap before the report
-        x = BOXES["report"].x - 16.0
+        x = BOXES["report"].x - 26.0
         return [(x, a.y + a.height if a.y < b.y else a.y), (x, b.y if a.y < b.y else b.y + b.height)]
     if a.y == b.y:
         y = a.y + 0.86 * a.height
@@ -238,8 +238,8 @@ def draw() -> str:
     lines.append(
         text(
             FIRST + 300, below,
-            "from a room to one that imports it; left out: what a chain of arrows says already, and the rooms "
-            f"{' and '.join(sorted(LEFT_OUT))}, which nearly all import", "note",
+            "from a room to one that imports it, less what a chain of arrows says; "
+            f"left out: {', '.join(sorted(LEFT_OUT))}, which nearly all import", "note",
         )
     )  # fmt: skip
     return "\n".join([*lines, "</svg>"]) + "\n"

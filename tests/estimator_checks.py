@@ -221,6 +221,22 @@ def below_the_gate_the_car_rolls(make: Make) -> None:
         assert np.isnan(estimate.nis[slow]).all()
 
 
+def the_first_sample_above_the_gate_is_still_a_rolling_car(make: Make) -> None:
+    vehicle = make().vehicle
+    for inputs in (drives.named("with gaps"), drives.limit_slalom()):
+        slow = ~(inputs.samples[:, at.VX] > MIN_SPEED)
+        after = np.flatnonzero(~slow & np.roll(slow, 1))
+        assert len(after) > 3
+        estimate = make().run(inputs)
+        angles = inputs.samples[after][:, [at.STEER, at.STEER_REAR]]
+        rolling = [
+            slip_of_rolling_rear(*row, vehicle.cg_to_front_axle, vehicle.cg_to_rear_axle) for row in angles
+        ]
+        np.testing.assert_array_equal(estimate.beta[after], rolling)
+        np.testing.assert_array_equal(estimate.beta_std[after], LOW_SPEED_STD)
+        assert np.isnan(estimate.nis[after]).all()
+
+
 def extras_are_named_and_finite(make: Make) -> None:
     """Innovations where there is something to measure, the others wherever the car drives."""
     estimator, inputs = make(), drives.limit_slalom()
@@ -268,6 +284,7 @@ CHECKS: tuple[Callable[[Make], None], ...] = (
     runs_repeat_and_change_nothing,
     two_under_way_do_not_touch_each_other,
     below_the_gate_the_car_rolls,
+    the_first_sample_above_the_gate_is_still_a_rolling_car,
     extras_are_named_and_finite,
     settings_survive_a_json_file,
     a_seed_gives_the_same_bits_and_another_seed_others,

@@ -7,32 +7,15 @@ import numpy as np
 import pytest
 
 from crosscomb.errors import UsageError
-from crosscomb.filters import columns as at
-from crosscomb.filters.base import LOW_SPEED_STD, make_inputs
+from crosscomb.filters.base import make_inputs
 from crosscomb.filters.catalogue import CATALOGUE, make_filter, settings_of
 from crosscomb.logs.grid import to_grid
 from crosscomb.logs.prepare import complete
 from crosscomb.logs.read import read_log
-from crosscomb.models.kinematic import slip_of_rolling_rear
 from crosscomb.models.vehicle import load_vehicle
 from crosscomb.signals import MIN_SPEED
-from drives import GOLF, limit_slalom, named
 from estimator_cases import CAR, SHORT, quick
 from estimator_checks import assert_same_bits, assert_sound, by_steps, lively
-
-
-@pytest.mark.parametrize("name", CATALOGUE)
-def test_the_first_sample_above_the_gate_is_still_a_rolling_car(name):
-    for inputs in (named("with gaps"), limit_slalom()):
-        slow = ~(inputs.samples[:, at.VX] > MIN_SPEED)
-        after = np.flatnonzero(~slow & np.roll(slow, 1))
-        assert len(after) > 3
-        estimate = quick(name, GOLF).run(inputs)
-        angles = inputs.samples[after][:, [at.STEER, at.STEER_REAR]]
-        rolling = [slip_of_rolling_rear(*row, GOLF.cg_to_front_axle, GOLF.cg_to_rear_axle) for row in angles]
-        np.testing.assert_array_equal(estimate.beta[after], rolling)
-        np.testing.assert_array_equal(estimate.beta_std[after], LOW_SPEED_STD)
-        assert np.isnan(estimate.nis[after]).all()
 
 
 @pytest.mark.parametrize("name", SHORT)

@@ -5,6 +5,6 @@ import pytest
 from estimator_cases import contract
 
 
-@pytest.mark.parametrize(("make", "check"), contract("kinematic"))
+@pytest.mark.parametrize(("make", "check"), list(contract("kinematic")))
 def test_contract(make, check):
     check(make)

@@ -5,6 +5,6 @@ import pytest
 from estimator_cases import contract
 
 
-@pytest.mark.parametrize(("make", "check"), contract("random_walk"))
+@pytest.mark.parametrize(("make", "check"), list(contract("random_walk")))
 def test_contract(make, check):
     check(make)

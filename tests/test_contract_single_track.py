@@ -5,6 +5,6 @@ import pytest
 from estimator_cases import contract
 
 
-@pytest.mark.parametrize(("make", "check"), contract("single_track"))
+@pytest.mark.parametrize(("make", "check"), list(contract("single_track")))
 def test_contract(make, check):
     check(make)

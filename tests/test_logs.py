@@ -227,6 +227,8 @@ def open_log(data, source, reader):
 def test_a_new_format_is_one_file_and_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     write(tmp_path, TOY, "toy_format.py")
     monkeypatch.syspath_prepend(tmp_path)
+    csv = [entry for entry in FORMATS if entry.name == "CSV"]
+    monkeypatch.setattr("crosscomb.logs.formats.table.FORMATS", csv)
     toy = ("TOY\0" + GOOD.replace(",", "|")).encode()
     folder = tmp_path / "logs"
     folder.mkdir()
@@ -238,9 +240,8 @@ def test_a_new_format_is_one_file_and_one_line(tmp_path: Path, monkeypatch: pyte
     with pytest.raises(UsageError, match=r"b\.csv: is a binary file"):
         read_log(logs[1])
 
-    monkeypatch.setattr(
-        "crosscomb.logs.formats.table.FORMATS", [*FORMATS, Format("toy", (".toy",), "toy_format")]
-    )
+    toy_line = Format("toy", (".toy",), "toy_format")
+    monkeypatch.setattr("crosscomb.logs.formats.table.FORMATS", [*csv, toy_line])
 
     assert find_logs(folder) == logs
     read = [read_log(path) for path in logs]

@@ -123,7 +123,9 @@ def require_known(names: Sequence[str]) -> None:
     """
     for name in names:
         if name not in CATALOGUE:
-            raise UsageError(f"`filters` {name}: not in the catalogue: `crosscomb filters` lists it")
+            raise UsageError(
+                f"`filters` {name}: not in the catalogue: `crosscomb filters` lists what there is"
+            )
         if list(names).count(name) > 1:
             raise UsageError(f"`filters` {name}: named twice: name it once")
 

@@ -21,6 +21,7 @@ from crosscomb.filters.base import Estimate, Inputs, KernelFilter
 from crosscomb.filters.catalogue import CATALOGUE, make_filter
 from crosscomb.filters.twins.table import FILTERPY, NUMPY, TWINS, Twin
 from crosscomb.models.vehicle import Vehicle, load_vehicle
+from crosscomb.run.drive import require_known
 
 STEPS = 20_000
 """Samples that a kernel runs over; its time could not be measured on as few as its twin takes."""
@@ -90,9 +91,10 @@ def pairs_of(names: Sequence[str] = ()) -> list[Pair]:
         A named estimator has no twin.
     """
     vehicle = load_vehicle(CAR)
+    require_known(names)
     for name in names:
         if name not in TWINS:
-            raise UsageError(f"filter {name}: has no twin to be timed against: take of {', '.join(TWINS)}")
+            raise UsageError(f"`filters` {name}: has no twin to be timed against: take of {', '.join(TWINS)}")
     pairs = []
     for name in names or [name for name in CATALOGUE if name in TWINS]:
         estimators = {name: make_filter(name, vehicle)}

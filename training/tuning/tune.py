@@ -168,7 +168,7 @@ def require_tunable(name: str, by: str) -> None:
     UsageError
     """
     if name not in CATALOGUE:
-        raise UsageError(f"`filters` {name}: not in the catalogue: `crosscomb filters` lists it")
+        raise UsageError(f"`filters` {name}: not in the catalogue: `crosscomb filters` lists what there is")
     if is_tunable(name, by):
         return
     if by == LIKELIHOOD:
