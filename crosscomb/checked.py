@@ -89,6 +89,8 @@ def parse_checked(text: str, source: str, kind: FileKind[AnyRecord]) -> AnyRecor
         raise _fault(kind, f"{source}: no valid TOML: {error}") from None
     except json.JSONDecodeError as error:
         raise _fault(kind, f"{source}: line {error.lineno}: no valid JSON") from None
+    except (RecursionError, ValueError):  # nested too deeply, or a number of thousands of digits
+        raise _fault(kind, f"{source}: no {kind.name} holds what this one holds") from None
     if kind.version is not None:
         version = content.get("schema_version") if isinstance(content, dict) else None
         if version != kind.version:

@@ -195,3 +195,11 @@ def test_the_shipped_artefacts_are_as_crosscomb_writes_them(tmp_path, name):
     shipped = Path(__file__).resolve().parents[1] / "crosscomb" / "data" / f"{name}.json"
     save_artefact(load_artefact(name), tmp_path / "again.json")
     assert (tmp_path / "again.json").read_bytes() == shipped.read_bytes()
+
+
+@pytest.mark.parametrize("text", ["[" * 100_000, '{"schema_version": ' + "9" * 5000 + "}"])
+def test_what_no_artefact_holds_is_refused_in_one_line(tmp_path, text):
+    path = tmp_path / "deep.json"
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(UsageError, match=r"^[^\n]*deep\.json: no artefact holds what this one holds: train"):
+        load_artefact(path)

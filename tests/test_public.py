@@ -10,6 +10,7 @@ import pytest
 import crosscomb
 from crosscomb.errors import UsageError
 from crosscomb.models.vehicle import Vehicle
+from crosscomb.report.terminal import as_flags
 from crosscomb.run.drive import require_known
 from crosscomb.signals import Signals
 
@@ -61,3 +62,8 @@ def test_a_program_is_told_arguments_and_a_command_its_flags(
     log = write_log(simulated[0].frame, tmp_path / "log.csv")
     ran = crosscomb("estimate", log, "--filters", "magic", "-o", tmp_path / "out")
     assert ran.err.startswith("error: --filters magic: not in the catalogue")
+
+
+def test_names_of_files_and_columns_are_no_flags() -> None:
+    told = "with `vehicle` name.csv: column ay is missing (its other columns: `filters`, vx): map it (`channel_map`)"
+    assert as_flags(told) == told.replace("(`channel_map`)", "(--map)")

@@ -50,8 +50,9 @@ FLAGS |= {"channel_map": "--map", "tune_budget": "--tune-budget"}
 
 
 def as_flags(message: str) -> str:
-    """A message of the library for those who typed a command."""
-    return re.sub(r"`(\w+)`", lambda match: FLAGS.get(match[1], match[0]), message)
+    """A message of the library for those who typed a command; names of files and columns stay as they are."""
+    named = r"(^|give |in |or |\()`(" + "|".join(FLAGS) + r")`(?=$|[ ),:])"
+    return re.sub(named, lambda match: match[1] + FLAGS[match[2]], message)
 
 
 def say(text: str) -> None:
