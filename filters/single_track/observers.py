@@ -199,47 +199,40 @@ def sliding_run(state, samples, car, settings, dt, out):
         nonlinear_step(state, samples[k], car, settings, layers, dt, out[k])
 
 
-def _observer() -> Observer:
-    return Observer(np.zeros(2), np.zeros(1), np.zeros(1, dtype=np.int64))
+@dataclass(frozen=True)
+class _SlipObserver(KernelFilter):
+    noise: ObserverGains | SlidingGains
+
+    divisors = (*KernelFilter.divisors, "memory")
+
+    def make_state(self) -> Any:
+        """Make an unstarted observer."""
+        return Observer(np.zeros(2), np.zeros(1), np.zeros(1, dtype=np.int64))
 
 
 @dataclass(frozen=True)
-class Luenberger(KernelFilter):
+class Luenberger(_SlipObserver):
     """Luenberger observer on the linear single track; `tyre` is not used."""
 
     noise: ObserverGains = ObserverGains()
 
-    divisors = (*KernelFilter.divisors, "memory")
     run_kernel = staticmethod(luenberger_run)
-
-    def make_state(self) -> Any:
-        """Make an unstarted observer."""
-        return _observer()
 
 
 @dataclass(frozen=True)
-class ExtendedLuenberger(KernelFilter):
+class ExtendedLuenberger(_SlipObserver):
     """Luenberger observer on the nonlinear single track."""
 
     noise: ObserverGains = ObserverGains()
 
-    divisors = (*KernelFilter.divisors, "memory")
     run_kernel = staticmethod(extended_run)
-
-    def make_state(self) -> Any:
-        """Make an unstarted observer."""
-        return _observer()
 
 
 @dataclass(frozen=True)
-class SlidingMode(KernelFilter):
+class SlidingMode(_SlipObserver):
     """First-order sliding-mode observer on the nonlinear single track."""
 
     noise: SlidingGains = SlidingGains()
 
-    divisors = (*KernelFilter.divisors, "memory", "yaw_layer", "ay_layer")
+    divisors = (*_SlipObserver.divisors, "yaw_layer", "ay_layer")
     run_kernel = staticmethod(sliding_run)
-
-    def make_state(self) -> Any:
-        """Make an unstarted observer."""
-        return _observer()
