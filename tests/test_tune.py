@@ -371,7 +371,7 @@ def tuned_file(tmp_path_factory) -> Path:
 
 
 def test_tuned_noise_takes_the_place_of_the_artefacts(tuned_file, simulated, car):
-    tuned = load_tuned(tuned_file)
+    tuned = load_tuned(tuned_file, list(CATALOGUE))
     artefact = load_artefact()
     entries = with_tuned(artefact.filters, tuned)
     assert entries[1].settings["noise"] == {"ay": 7.0}
@@ -439,7 +439,7 @@ def test_the_command_writes_noise_report_and_record(crosscomb, data_set, tmp_pat
     names = sorted(file.name for file in tmp_path.iterdir())
     assert names == ["mine.json", "mine.run.json", "mine.tuning.csv", "mine.tuning.md", "mine.tuning.png"]
     assert "dynamic_ekf" in ran.out
-    tuned = load_tuned(path)
+    tuned = load_tuned(path, list(CATALOGUE))
     assert set(tuned.record["scores"]) == {"kinematic_kf", "dynamic_ekf"}
     for entry_ in tuned.filters:
         assert tuned.record["scores"][entry_.name]["accepted"]
@@ -462,7 +462,7 @@ def test_logs_without_ground_truth_are_tuned_by_likelihood(
     )
     assert (ran.code, ran.err) == (0, "")
     assert "likelihood" in ran.out
-    assert load_tuned(tmp_path / "t.json").by == "likelihood"
+    assert load_tuned(tmp_path / "t.json", list(CATALOGUE)).by == "likelihood"
     out = tmp_path / "no.json"
     ran = crosscomb("tune", folder, "--filters", "lint_ekf", "--jobs", 1, "-o", out)
     assert ran.code == 2

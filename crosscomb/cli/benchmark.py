@@ -31,7 +31,7 @@ def benchmark(
     from crosscomb.report import terminal
     from crosscomb.report.markdown import write_benchmark
     from crosscomb.run.drive import name_filters
-    from crosscomb.run.tuned import load_tuned, require_used, with_tuned
+    from crosscomb.run.tuned import load_tuned, with_tuned
     from crosscomb.selection.artefact import load_artefact
     from crosscomb.training.recordings import find_places
     from crosscomb.training.suites import benchmark as suites
@@ -43,11 +43,9 @@ def benchmark(
     beside = name_filters(
         [name for name in filter_names(filters) if name not in artefact.filter_names], artefact
     )
-    if tuned is not None:
-        given = load_tuned(tuned)
-        require_used(given, [*artefact.filter_names, *(entry.name for entry in beside)], tuned)
-        beside = with_tuned(beside, given)
-        artefact = artefact.model_copy(update={"filters": with_tuned(artefact.filters, given)})
+    given = load_tuned(tuned, [*artefact.filter_names, *(entry.name for entry in beside)])
+    beside = with_tuned(beside, given)
+    artefact = artefact.model_copy(update={"filters": with_tuned(artefact.filters, given)})
     if suite == "real":
         if data is None:
             raise UsageError("benchmark real: needs the folder of the logs: give --data")

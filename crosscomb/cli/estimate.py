@@ -66,15 +66,14 @@ def estimate(
     from crosscomb.report import terminal
     from crosscomb.report.estimates import Sources, estimate_files
     from crosscomb.run.drive import name_filters
-    from crosscomb.run.tuned import load_tuned, require_used
+    from crosscomb.run.tuned import load_tuned
     from crosscomb.selection.artefact import load_artefact
 
     artefact, spot = load_artefact(selector_file), place(point)
     names = filter_names(filters)
     name_filters(names, artefact)
-    given = load_tuned(tuned) if tuned else None
-    require_used(given, names or artefact.filter_names, tuned)
-    signs = load_map(channel_map) if channel_map else None
+    given = load_tuned(tuned, names or artefact.filter_names)
+    signs = load_map(channel_map)
     refuse_overwriting(logs, estimate_files(output, log_names(logs)))
     with terminal.progress("reading", len(logs)) as advance:
         opened = open_logs(logs, artefact.vehicle, vehicle, signs, advance)
@@ -123,7 +122,7 @@ def check(
     from crosscomb.report import terminal
     from crosscomb.selection.artefact import load_artefact
 
-    signals = read_log(log, load_map(channel_map) if channel_map else None)
+    signals = read_log(log, load_map(channel_map))
     car, origin, warning = choose_vehicle(log, vehicle, load_artefact().vehicle)
     terminal.show_signals(signals)
     terminal.say(f"vehicle: {car.name} ({origin})")

@@ -42,7 +42,7 @@ def identify(
     if output.suffix != ".toml":
         raise UsageError(f"{output}: a vehicle file is a TOML file: let its name end in .toml")
     before = load_vehicle(vehicle)
-    base = load_map(channel_map) if channel_map else None
+    base = load_map(channel_map)
     places = find_places(data_dir)
     # A sub-folder with a vehicle file of its own holds another car.
     own = [

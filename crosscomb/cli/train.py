@@ -57,7 +57,7 @@ def train(
     from crosscomb.logs.channel_map import load_map
     from crosscomb.report import terminal
     from crosscomb.report.training import comparison_file, training_files
-    from crosscomb.run.tuned import load_tuned, require_used
+    from crosscomb.run.tuned import load_tuned
     from crosscomb.training.recordings import files_of, find_places, read_recordings, require_enough
     from crosscomb.training.selectors.fit import SELECTORS
     from crosscomb.training.selectors.train import require_filters
@@ -69,9 +69,8 @@ def train(
         raise UsageError(f"{output}: an artefact is a JSON file: let its name end in .json")
     names = filter_names(filters) or list(DEFAULT_FILTERS)
     require_filters(names)
-    given = load_tuned(tuned) if tuned else None
-    require_used(given, names, tuned)
-    signs = load_map(channel_map) if channel_map else None
+    given = load_tuned(tuned, names)
+    signs = load_map(channel_map)
     with terminal.progress("reading", sum(len(logs) for _, logs in find_places(data_dir))) as advance:
         recordings, notes = read_recordings(data_dir, vehicle, signs, advance)
     for note in notes:

@@ -61,7 +61,7 @@ def tune(
         search.require_tunable(name, by or "error")
         if names.count(name) > 1:
             raise UsageError(f"--filters {name}: named twice: name it once")
-    signs = load_map(channel_map) if channel_map else None
+    signs = load_map(channel_map)
     with terminal.progress("reading", sum(len(logs) for _, logs in find_places(data_dir))) as advance:
         recordings, notes = read_recordings(data_dir, vehicle, signs, advance, unscored=True)
     by, recordings, skipped = _choose(by, recordings)

@@ -141,15 +141,15 @@ class ChannelMap(FiniteRecord):
         return "" if claimed else name
 
 
-def load_map(path: str | Path) -> ChannelMap:
-    """Read and check a channel map.
+def load_map(path: str | Path | None) -> ChannelMap | None:
+    """Read and check a channel map; none is fine.
 
     Raises
     ------
     UsageError
         The file is missing or no TOML, a key or channel is unknown, or a value is wrong.
     """
-    return read_checked(path, FileKind("channel map", ChannelMap, "TOML", "check the name"))
+    return read_checked(path, FileKind("channel map", ChannelMap, "TOML", "check the name")) if path else None
 
 
 def unit_name(text: str) -> str:

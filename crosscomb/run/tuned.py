@@ -58,32 +58,27 @@ FILE = FileKind(
 )  # fmt: skip
 
 
-def load_tuned(path: Path) -> Tuned:
-    """Read and check a TUNED.json.
+def load_tuned(path: Path | None, names: Sequence[str]) -> Tuned | None:
+    """Read and check a TUNED.json for the filters of a run; none is fine.
 
     Raises
     ------
     UsageError
-        The file is missing, no JSON, of another schema version, or names unknown filters or settings.
+        The file is missing, no JSON, of another schema version, names unknown filters or settings, or holds only
+        noise of filters that are not among ``names``.
     """
-    return read_checked(path, FILE)
+    if path is None:
+        return None
+    tuned = read_checked(path, FILE)
+    if tuned.filters and not any(entry.name in names for entry in tuned.filters):
+        given = ", ".join(entry.name for entry in tuned.filters)
+        raise UsageError(f"{path}: holds noise of {given}, none of which runs here: name them in `filters`")
+    return tuned
 
 
 def save_tuned(tuned: Tuned, path: Path) -> None:
     """Write a TUNED.json; the numbers come back exactly."""
     write_json(path, tuned.model_dump(mode="json"))
-
-
-def require_used(tuned: Tuned | None, names: Sequence[str], path: Path | None) -> None:
-    """Refuse tuned noise that no filter of a run takes.
-
-    Raises
-    ------
-    UsageError
-    """
-    if tuned and tuned.filters and not any(entry.name in names for entry in tuned.filters):
-        given = ", ".join(entry.name for entry in tuned.filters)
-        raise UsageError(f"{path}: holds noise of {given}, none of which runs here: name them in `filters`")
 
 
 def with_tuned(entries: Sequence[FilterSettings], tuned: Tuned | None) -> list[FilterSettings]:

@@ -46,6 +46,8 @@ class Seen:
     def only(self, members: Sequence[int]) -> Seen:
         """Keep some of the filters, in the order given."""
         chosen = list(members)
+        if chosen == list(range(self.beta.shape[1])):
+            return self
         return replace(
             self,
             beta=self.beta[:, chosen],
