@@ -33,7 +33,7 @@ def squares(fitter: Fitter, learned: Sequence[int], judged: Sequence[int]) -> tu
     weight = recording_weights(learn.rmse[:, fitter.safe(learned)], owner) * fitter.balance(learned)[owner]
     excess = np.degrees(learn.rmse - learn.rmse.min(axis=1, keepdims=True)) * weight[:, None]
     foretold = [
-        fit_trees(learn.features, np.minimum(lost, 30.0), 0, 150).predict(windows.features)
+        fit_trees(learn.features, [np.minimum(lost, 30.0)], 0, 150)[0].predict(windows.features)
         for lost in excess.T
     ]
     tree = fit_tree(learn.features, learn, True, SELECTORS["tree"].shapes[1], 0, weight)
@@ -69,14 +69,14 @@ def main() -> None:
     parser.add_argument("--jobs", type=int, default=2)
     options = parser.parse_args()
     folders = [read(one) for one in (options.learn, options.fresh, options.real) if one is not None]
-    fitter = fitter_of([one for folder in folders for one in folder], "tree", options.jobs)
+    recordings = [one for folder in folders for one in folder]
+    fitter = fitter_of(recordings, "tree", options.jobs)
     starts = np.cumsum([0, *map(len, folders)]).tolist()
     learn, fresh, *rest = [list(range(begin, end)) for begin, end in pairwise(starts)]
     show("fresh simulated logs", *squares(fitter, learn, fresh))
     if not rest:
         return
     (real,) = rest
-    recordings = [bank.recording for bank in fitter.banks]
     shared = [i for i in real if recordings[i].name in SHARED_SET]
     own = [i for i in learn if is_of_cars(recordings[i])]
     show("shared real set, simulation only", *squares(fitter, own, shared))

@@ -300,10 +300,10 @@ def test_training_needs_two_classes(crosscomb, recordings: list[Recording], data
     folder = tmp_path / "in"
     folder.mkdir()
     (folder / "vehicle.toml").write_bytes((data_set / "vehicle.toml").read_bytes())
-    for bank in banks[:7]:
-        frame = bank.recording.signals.frame.drop(columns=["vx_ref", "vy_ref"])
+    for recording, bank in zip(recordings[:7], banks[:7], strict=True):
+        frame = recording.signals.frame.drop(columns=["vx_ref", "vy_ref"])
         frame = frame.assign(beta_ref=bank.joined(lambda run: run.beta)[:, 1])
-        frame.to_csv(folder / f"{bank.recording.name}.csv", index=False)
+        frame.to_csv(folder / f"{recording.name}.csv", index=False)
     ran = crosscomb("train", folder, "-o", tmp_path / "out" / "a.json", "--jobs", 1, "--tune-budget", 0)
     refused(ran, tmp_path / "out", str(folder), "dynamic_ekf is best in every window", "add recordings")
 

@@ -25,7 +25,7 @@ from crosscomb.training.selectors.compare import (
     leave_one_out,
 )
 from crosscomb.training.selectors.evaluate import BANDS, evaluate
-from crosscomb.training.selectors.fit import SELECTORS, STATISTICS, Fitter
+from crosscomb.training.selectors.fit import SELECTORS, STATISTICS
 from crosscomb.training.selectors.fit_tree import keep_what_is_sure
 from crosscomb.training.selectors.train import default_filters
 
@@ -35,9 +35,9 @@ def small_trees():
     """Few boosting rounds and steps: the rules are tested here, not the accuracy."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(fit_boosted, "ITERATIONS", 8)
-        patch.setattr(fit_correction, "STEPS", 40)
-        patch.setattr(fit, "FULL", fit_correction.Size(2, (16, 8), 8))
-        patch.setattr(fit, "FEW", fit_correction.Size(1, (16, 8)))
+        patch.setattr(fit, "FULL", fit_correction.Size(2, (16, 8), 40, 8))
+        patch.setattr(fit, "FEW", fit_correction.Size(1, (16, 8), 40))
+        patch.setattr(fit_correction, "DOUBT", fit_correction.Size(1, (8, 4), 40))
         yield
 
 
@@ -137,15 +137,10 @@ def banks(recordings) -> list[BankRun]:
 
 
 @pytest.fixture(scope="module")
-def artefacts(banks, small_trees) -> dict[str, Artefact]:
+def artefacts(banks, small_trees, car) -> dict[str, Artefact]:
     """One of each selector."""
-    made = {}
-    for name, kind in SELECTORS.items():
-        seen = [compare_module.with_windows(bank, kind.window) for bank in banks]
-        windows = [bank.windows(kind.window, kind.needs_all) for bank in seen]
-        entries = default_filters(banks[0].recording.vehicle)
-        made[name] = Fitter(name, 100.0, entries, None, 0, seen, windows).fit(range(len(banks)))[0]
-    return made
+    fitters = compare_module.fitters_of(banks, default_filters(car), 100.0, None, 0)
+    return {fitter.selector: fitter.fit(range(len(banks)))[0] for fitter in fitters}
 
 
 @pytest.mark.parametrize("name", list(SELECTORS))

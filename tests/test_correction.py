@@ -79,10 +79,10 @@ def test_members_answer_in_the_mean(fitted):
 
 
 def test_trees_beside_count_as_much_as_all_members(fitted):
-    """They look at the scaled inputs; scikit-learn says what they answer."""
+    """They look at the scaled inputs; the library says what they answer."""
     rng = np.random.default_rng(2)
     rows = rng.uniform(-2.0, 2.0, (3000, 2)).astype(np.float32)
-    trees = fit_trees(rows, rows[:, 1] ** 2, 0, 20)
+    (trees,) = fit_trees(rows, [rows[:, 1] ** 2], 0, 20)
     scaled = {"scale": [2.0, 0.5], "unit": 3.0}
     wide = rows * np.float32([2.0, 0.5])
     plain = network_of(fitted, 2, **scaled).predict(wide)
@@ -92,7 +92,7 @@ def test_trees_beside_count_as_much_as_all_members(fitted):
 
 def test_trees_that_do_not_fit_the_inputs_are_refused(fitted):
     rows = np.random.default_rng(2).uniform(-2.0, 2.0, (500, 3)).astype(np.float32)
-    trees = fit_trees(rows, rows.sum(axis=1), 0, 5)
+    (trees,) = fit_trees(rows, [rows.sum(axis=1)], 0, 5)
     for wrong in ([trees], [trees, trees]):
         with pytest.raises(ValidationError):
             network_of(fitted, 2, trees=to_boosted(wrong))
@@ -276,6 +276,6 @@ def test_a_fit_finds_what_is_there_and_no_side():
     features[:, ekf] += np.float32(10.0)  # a common offset says nothing
     features[:, kf] += np.float32(10.0)
     target = 0.5 * (features[:, kf] - features[:, ekf]) / 0.01
-    network = fit_network(features, target, np.ones(6000), FILTERS, 1, Size(1, (16, 8)), 0)
+    network = fit_network(features, target, np.ones(6000), FILTERS, 1, Size(1, (16, 8), 3200), 0)
     error = network.predict(features) - target
     assert np.sqrt(np.mean(error**2)) < 0.2 * target.std()

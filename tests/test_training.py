@@ -20,15 +20,24 @@ from crosscomb.signals import Signals, make_signals
 from crosscomb.training import recordings as recordings_module
 from crosscomb.training.folds import grouped_folds, split_recordings
 from crosscomb.training.metrics import countable, coverage, score, score_log
+from crosscomb.training.parallel import in_parallel
 from crosscomb.training.recordings import Recording, common_vehicle, read_recordings, require_enough
 from crosscomb.training.selectors import fit as fit_module
+from crosscomb.training.selectors import fit_correction
 from crosscomb.training.selectors import train as train_module
 from crosscomb.training.selectors.bank import BankRun, run_bank
 from crosscomb.training.selectors.evaluate import ORACLE, SWITCH, ZERO, confusion_of, evaluate
 from crosscomb.training.selectors.fit import SELECTORS
 from crosscomb.training.selectors.fit_correction import Size
 from crosscomb.training.selectors.labels import label_run, oracle_beta
-from crosscomb.training.selectors.train import Training, default_filters, steps, train
+from crosscomb.training.selectors.train import (
+    Training,
+    default_filters,
+    fit_and_judge,
+    make_fitter,
+    steps,
+    train,
+)
 from crosscomb.training.simulation.presets import plan_jobs
 from crosscomb.training.simulation.simulate import simulate_log
 
@@ -306,6 +315,17 @@ def test_the_same_seed_gives_the_same_bytes_whatever_the_jobs(recordings, traine
     assert len(ticks) == steps(recordings, 5)
 
 
+def test_another_process_fits_the_same_correction(recordings):
+    """Networks and boosted trees, on large arrays that processes share."""
+    fitter = make_fitter(recordings[:4], "hybrid", default_filters(recordings[0].vehicle), 0)
+    task = fitter, [0, 1, 2], [[3]]
+    (here, _, (judged,)), (there, _, (also,)) = (
+        in_parallel(fit_and_judge, [task] * jobs, jobs, shared=True)[-1] for jobs in (1, 2)
+    )
+    assert here.model_dump_json() == there.model_dump_json()
+    pd.testing.assert_frame_equal(judged.table, also.table, check_exact=True)
+
+
 def test_another_seed_gives_another_split(recordings, trained, tmp_path):
     other = train(recordings, "paper", seed=5)
     assert other.parts != trained.parts
@@ -339,8 +359,8 @@ def test_a_fold_with_one_class_is_no_obstacle(recordings, banks, monkeypatch):
         best = 0 if index == 3 else 1
         frame = recording.signals.frame.assign(beta_ref=bank.joined(lambda run: run.beta)[:, best])
         altered.append(replace(recording, signals=replace(recording.signals, frame=frame)))
-    for size in ("FULL", "FEW"):
-        monkeypatch.setattr(fit_module, size, Size(1, (8, 4)))
+    for module, size in ((fit_module, "FULL"), (fit_module, "FEW"), (fit_correction, "DOUBT")):
+        monkeypatch.setattr(module, size, Size(1, (8, 4), 40))
     for selector in ("tree", "paper", "hybrid"):
         trained = train(altered, selector)
         assert trained.artefact.tree.n_classes == 3

@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from typing import Any, Literal
+from typing import Any
 
 from joblib import Parallel, delayed
+from threadpoolctl import threadpool_limits
+
+LARGE = "100K"
+"""Arrays from this size on go to other processes once, as files that all of them map."""
 
 
 def in_parallel(
@@ -13,9 +17,9 @@ def in_parallel(
     tasks: Iterable[tuple[Any, ...]],
     jobs: int,
     progress: Callable[[], None] | None = None,
-    prefer: Literal["processes", "threads"] | None = None,
+    shared: bool = False,
 ) -> list[Any]:
-    """Do tasks at once and give their results in order, which do not depend on how many go at once.
+    """Do tasks in processes, one thread each, and give their results in order, which does not depend on how many.
 
     Parameters
     ----------
@@ -23,17 +27,25 @@ def in_parallel(
     tasks : iterable of tuple
         Arguments of each call.
     jobs : int
-        How many at once.
+        Processes.
     progress : callable, optional
         Called after each.
-    prefer : str, optional
-        ``threads`` instead of processes.
+    shared : bool
+        Tasks share large arrays: map them instead of sending them with each.
     """
-    # max_nbytes: arrays from mapped files are read-only, and kernels would be compiled anew for them.
-    parallel = Parallel(n_jobs=jobs, return_as="generator", max_nbytes=None, prefer=prefer)
+    # Mapped to be written to, though no write is shared: kernels would be compiled anew for read-only arrays.
+    parallel = Parallel(
+        n_jobs=jobs, return_as="generator", max_nbytes=LARGE if shared else None, mmap_mode="c"
+    )
     results = []
-    for result in parallel(delayed(work)(*task) for task in tasks):
+    for result in parallel(delayed(_alone)(work, task) for task in tasks):
         results.append(result)
         if progress is not None:
             progress()
     return results
+
+
+def _alone(work: Callable[..., Any], task: tuple[Any, ...]) -> Any:
+    """Do a task on one thread, so that its sums are the same everywhere."""
+    with threadpool_limits(1):
+        return work(*task)

@@ -100,7 +100,7 @@ def boosted_at(grove, features, out):
     for i in range(grove.roots.size):
         node = grove.roots[i]
         while grove.feature[node] >= 0:
-            # scikit-learn compares in double precision
+            # Trees were fitted in double precision.
             if np.float64(features[grove.feature[node]]) <= grove.threshold[node]:
                 node = grove.left[node]
             else:

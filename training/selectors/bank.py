@@ -23,7 +23,10 @@ class BankRun:
 
     Attributes
     ----------
-    recording : Recording
+    name : str
+        Of the recording.
+    is_simulated : bool
+        See `crosscomb.training.recordings.Recording`.
     runs : list of Seen
         One per stretch of the log without a long gap.
     beta_ref : (n,) [rad]
@@ -32,7 +35,8 @@ class BankRun:
         Samples that are scored.
     """
 
-    recording: Recording
+    name: str
+    is_simulated: bool
     runs: list[Seen]
     beta_ref: np.ndarray
     counted: np.ndarray
@@ -62,7 +66,7 @@ def run_one(
     runs = run_filters(recording.signals, recording.vehicle, made, rate, window)
     beta_ref = np.concatenate([run.beta_ref for run in runs])
     vx = np.concatenate([run.column("vx") for run in runs])
-    return BankRun(recording, runs, beta_ref, countable(beta_ref, vx))
+    return BankRun(recording.name, recording.is_simulated, runs, beta_ref, countable(beta_ref, vx))
 
 
 def run_bank(

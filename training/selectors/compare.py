@@ -2,23 +2,28 @@
 
 from __future__ import annotations
 
+import itertools
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import pandas as pd
 
 from crosscomb.filters.catalogue import DEFAULT_FILTERS
+from crosscomb.models.vehicle import Vehicle
+from crosscomb.selection.artefact import FilterSettings
 from crosscomb.selection.windows import WindowSettings, window_features
 from crosscomb.training.folds import grouped_folds
+from crosscomb.training.parallel import in_parallel
 from crosscomb.training.recordings import CARD, Recording, common_vehicle
 from crosscomb.training.selectors.bank import BankRun, run_bank
 from crosscomb.training.selectors.evaluate import SWITCH, Evaluation, evaluate, pool, score_filters
 from crosscomb.training.selectors.fit import SELECTORS, STATISTICS, Fitter
 from crosscomb.training.selectors.fit_tree import fit_tree, to_tree
-from crosscomb.training.selectors.labels import concatenate
-from crosscomb.training.selectors.train import default_filters, fit_all
+from crosscomb.training.selectors.labels import Windows, concatenate
+from crosscomb.training.selectors.train import default_filters
 
 REFERENCES = ("imm", "mmae")
 """Published ways to combine models, run beside the selectors as they are."""
@@ -99,8 +104,7 @@ def schemes_of(
 
 def comparison_steps(recordings: Sequence[Recording], folds: int, seed: int) -> int:
     """How often `compare` reports progress."""
-    fits = sum(len(pairs) for pairs in schemes_of(recordings, folds, seed).values())
-    return len(recordings) + len(SELECTORS) * fits
+    return len(recordings) + sum(len(pairs) for pairs in schemes_of(recordings, folds, seed).values())
 
 
 def compare(
@@ -126,22 +130,21 @@ def compare(
     banks = [bank.only(range(len(entries))) for bank in every]
     references = score_filters(every, [entry.name for entry in [*entries, *beside]])
     schemes = schemes_of(recordings, folds, seed)
-    rows: list[dict[str, object]] = []
-    of_folds: dict[str, Evaluation] = {}
-    for selector, kind in SELECTORS.items():
-        seen = [with_windows(bank, kind.window) for bank in banks]
-        windows = [bank.windows(kind.window, kind.needs_all) for bank in seen]
-        fitter = Fitter(selector, rate, entries, common_vehicle(list(recordings)), seed, seen, windows)
-        for scheme, pairs in schemes.items():
-            fits = fit_all(fitter, [fit for fit, _ in pairs], jobs, progress)
-            judged = pool(
-                [
-                    evaluate([seen[i] for i in test], one)
-                    for (_, test), (one, _) in zip(pairs, fits, strict=True)
-                ]
-            )
-            rows.append({"selector": selector, "scheme": scheme, **summary_of(judged, seed)})
-            of_folds.setdefault(selector, judged)
+    fitters = fitters_of(banks, entries, rate, common_vehicle(list(recordings)), seed)
+    tasks = [(fitters, fit, test) for pairs in schemes.values() for fit, test in pairs]
+    judged = iter(in_parallel(judge_all, tasks, jobs, progress, shared=True))
+    of_scheme = {
+        scheme: dict(
+            zip(SELECTORS, map(pool, zip(*itertools.islice(judged, len(pairs)), strict=True)), strict=True)
+        )
+        for scheme, pairs in schemes.items()
+    }
+    of_folds = next(iter(of_scheme.values()))
+    rows = [
+        {"selector": selector, "scheme": scheme, **summary_of(of_scheme[scheme][selector], seed)}
+        for selector in SELECTORS
+        for scheme in schemes
+    ]
     driving = pd.Series({one.name: driving_of(one)[0] or one.vehicle.name for one in recordings})
     return Comparison(
         summary=pd.DataFrame(rows).set_index(["selector", "scheme"]),
@@ -155,6 +158,33 @@ def compare(
         by_band=_together(of_folds, lambda one: one.by_band),
         leakage=leakage(banks, folds, seed),
     )
+
+
+def fitters_of(
+    banks: Sequence[BankRun], entries: list[FilterSettings], rate: float, vehicle: Vehicle | None, seed: int
+) -> list[Fitter]:
+    """One fitter for each selector; those whose windows are cut alike share them, and the trees that they fit."""
+    known: dict[tuple[Hashable, ...], Any] = {}
+    of_windows: dict[str, tuple[list[BankRun], list[Windows]]] = {}
+    for kind in SELECTORS.values():
+        if kind.window.features not in of_windows:
+            seen = [with_windows(bank, kind.window) for bank in banks]
+            everything = kind.window == STATISTICS
+            of_windows[kind.window.features] = seen, [bank.windows(kind.window, everything) for bank in seen]
+    return [
+        Fitter(selector, rate, entries, vehicle, seed, *of_windows[kind.window.features], known)
+        for selector, kind in SELECTORS.items()
+    ]
+
+
+def judge_all(fitters: Sequence[Fitter], members: Sequence[int], others: Sequence[int]) -> list[Evaluation]:
+    """Fit every selector on some recordings, and judge it on others."""
+    judged = []
+    for fitter in fitters:
+        artefact, _ = fitter.fit(members)
+        judged.append(evaluate([fitter.banks[i] for i in others], artefact))
+    fitters[0].known.clear()
+    return judged
 
 
 def with_windows(bank: BankRun, settings: WindowSettings) -> BankRun:

@@ -93,7 +93,7 @@ def evaluate(banks: Sequence[BankRun], artefact: Artefact) -> Evaluation:
     for bank in banks:
         answers = [select(start_selection(artefact), run) for run in bank.runs]
         estimates = estimates_of(bank, answers, artefact)
-        rows[bank.recording.name] = evaluate_one(bank, estimates, answers, artefact)
+        rows[bank.name] = evaluate_one(bank, estimates, answers, artefact)
         bands += squares_by_band(bank, estimates)
         counts, regret = confusion_of(bank, answers, artefact)
         confusion, lost = confusion + counts, lost + regret
@@ -138,7 +138,7 @@ def score_filters(banks: Sequence[BankRun], names: Sequence[str]) -> pd.DataFram
         scores = [score(each[:, i], bank.beta_ref, bank.counted) for i in range(len(names))]
         rows.append([np.degrees(value) for s in scores for value in (s.rmse, s.max_error)])
     columns = pd.MultiIndex.from_product([list(names), ["rmse", "max"]])
-    return pd.DataFrame(rows, index=[bank.recording.name for bank in banks], columns=columns)
+    return pd.DataFrame(rows, index=[bank.name for bank in banks], columns=columns)
 
 
 def evaluate_one(

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Hashable, Sequence
+from dataclasses import dataclass, field
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -14,6 +15,7 @@ from crosscomb.selection.choice import Choice
 from crosscomb.selection.correction import Correction
 from crosscomb.selection.features import layout
 from crosscomb.selection.switch import SwitchSettings
+from crosscomb.selection.tree import Tree
 from crosscomb.selection.trust import Trust
 from crosscomb.selection.windows import WindowSettings
 from crosscomb.training.folds import grouped_folds
@@ -116,6 +118,9 @@ THINNING = 10
 """Every so many samples count in the calibration: neighbours say the same."""
 
 
+Fitted = TypeVar("Fitted")
+
+
 @dataclass(frozen=True)
 class Fitter:
     """What all fits of one training share.
@@ -131,6 +136,8 @@ class Fitter:
     banks : sequence of BankRun
     windows : list of Windows
         Of each recording.
+    known : dict
+        Trees that were fitted, by what they were fitted on: selectors that share it fit them once.
     """
 
     selector: str
@@ -140,6 +147,7 @@ class Fitter:
     seed: int
     banks: Sequence[BankRun]
     windows: list[Windows]
+    known: dict[tuple[Hashable, ...], Any] = field(default_factory=dict)
 
     @property
     def kind(self) -> SelectorKind:
@@ -162,7 +170,7 @@ class Fitter:
     def balance(self, members: Sequence[int]) -> np.ndarray:
         """Weight of each recording ``(members,)``: simulated and real ones count the same in all."""
         counts = np.array([len(self.windows[i].rmse) for i in members], float)
-        simulated = np.array([self.banks[i].recording.is_simulated for i in members])
+        simulated = np.array([self.banks[i].is_simulated for i in members])
         weight = np.ones(len(counts))
         if 0 < simulated.sum() < len(counts):
             share = counts[simulated].sum() / counts[~simulated].sum()
@@ -177,13 +185,9 @@ class Fitter:
     def fit(self, members: Sequence[int]) -> tuple[Artefact, TreeShape]:
         """Fit on some recordings: the shape of the tree and the trust are found on folds inside them."""
         inner = grouped_folds(list(members), INNER_FOLDS, self.seed)
-        left_out: list[tuple[list[int], Artefact]] = []
-        best = np.inf
-        for candidate in self.kind.shapes:
-            fitted = [(test, self._plain(fit, candidate)) for fit, test in inner]
-            rmse = float(np.mean([self._rmse(i, artefact) for test, artefact in fitted for i in test]))
-            if rmse < best or not left_out:
-                left_out, best, shape = fitted, rmse, candidate
+        candidates = [[(test, self._plain(fit, shape)) for fit, test in inner] for shape in self.kind.shapes]
+        best = int(np.argmin([self._rmse(fitted) for fitted in candidates])) if len(candidates) > 1 else 0
+        left_out, shape = candidates[best], self.kind.shapes[best]
         artefact = self._plain(members, shape)
         if self.kind.choice:
             parts = [self._choice(fit) for fit, _ in inner]
@@ -203,37 +207,56 @@ class Fitter:
 
     def _plain(self, members: Sequence[int], shape: TreeShape) -> Artefact:
         """Artefact with a tree only, its doubt not calibrated."""
+        kind, safe = self.kind, self.safe(members)
+        what = ("tree", kind.window.features, kind.by_regret, kind.all_signals, shape, *members)
+        tree = self._once(what, lambda: self._tree(members, shape, safe))
+        # The safe choice of the paper is the particle filter; ours is measured.
+        paper = self.selector == "paper" and "random_walk_pf" in self.names
+        return Artefact(
+            selector_name=self.selector,
+            rate=self.rate,
+            window=kind.window,
+            filters=self.filters,
+            fallback="random_walk_pf" if paper else self.names[safe],
+            switch=SwitchSettings(),
+            tree=tree,
+            tree_sees_all=kind.all_signals,
+            vehicle=self.vehicle,
+        )
+
+    def _once(self, what: tuple[Hashable, ...], fit: Callable[[], Fitted]) -> Fitted:
+        """Fit something unless that is known."""
+        if what not in self.known:
+            self.known[what] = fit()
+        return self.known[what]  # type: ignore[no-any-return]
+
+    def _tree(self, members: Sequence[int], shape: TreeShape, safe: int) -> Tree:
         windows = self.together(members)
         features = windows.everything if self.kind.all_signals else windows.features
-        safe = self.safe(members)
         weight = self._weight(members, safe)
         fitted = fit_tree(features, windows, self.kind.by_regret, shape, self.seed, weight)
         tree = to_tree(fitted, features, len(self.filters))
         if self.kind.by_regret:
             tree = keep_what_is_sure(tree, tree.leaves(features), windows, self.owner(members), safe)
             tree = without_idle_questions(tree)
-        # The safe choice of the paper is the particle filter; ours is measured.
-        paper = self.selector == "paper" and "random_walk_pf" in self.names
-        return Artefact(
-            selector_name=self.selector,
-            rate=self.rate,
-            window=self.kind.window,
-            filters=self.filters,
-            fallback="random_walk_pf" if paper else self.names[safe],
-            switch=SwitchSettings(),
-            tree=tree,
-            tree_sees_all=self.kind.all_signals,
-            vehicle=self.vehicle,
-        )
+        return tree
 
-    def _rmse(self, member: int, artefact: Artefact) -> float:
-        bank = self.banks[member]
-        beta = np.concatenate([select(start_selection(artefact), run).beta for run in bank.runs])
-        return score(beta, bank.beta_ref, bank.counted).rmse
+    def _rmse(self, left_out: Sequence[tuple[list[int], Artefact]]) -> float:
+        """Mean RMSE [rad] of recordings that their artefact was not fitted on."""
+        each = []
+        for members, artefact in left_out:
+            for bank in (self.banks[i] for i in members):
+                beta = np.concatenate([select(start_selection(artefact), run).beta for run in bank.runs])
+                each.append(score(beta, bank.beta_ref, bank.counted).rmse)
+        return float(np.mean(each))
 
     def _choice(self, members: Sequence[int]) -> Choice:
         seen = layout(self.names).plain if self.kind.corrected else None
-        return fit_choice(self.together(members), self.names, self.kind.choice == "soft", self.seed, seen)
+        trees = self._once(
+            ("choice", self.kind.corrected, *members),
+            lambda: fit_choice(self.together(members), self.names, self.seed, seen),
+        )
+        return Choice(trees=trees, soft=self.kind.choice == "soft")
 
     def _trust(self, left_out: Sequence[tuple[list[int], Artefact]]) -> Trust:
         """Calibrate beta_std on recordings that their artefact was not fitted on (split conformal)."""

@@ -7,7 +7,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from crosscomb.errors import UsageError
 from crosscomb.files import file_hash, versions
@@ -107,18 +106,16 @@ def train(
         learning = [recordings[i] for i in split_recordings(len(recordings), seed).training]
         entries = tuned_entries(learning, entries, rate, tune_budget, seed, jobs, leave=tuned)
     fitter = make_fitter(recordings, selector, entries, seed, rate, jobs, progress)
-    banks = fitter.banks
-
-    parts = split_recordings(len(banks), seed)
-    pairs = grouped_folds(parts.training, folds, seed)
-    tasks = [*(fit for fit, _ in pairs), parts.training, list(range(len(banks)))]
-    fits = fit_all(fitter, tasks, jobs, progress)
-    cross = pool(
-        [evaluate([banks[i] for i in test], one) for (_, test), (one, _) in zip(pairs, fits, strict=False)]
-    )
-    partly, (whole, shape) = fits[-2][0], fits[-1]
-    validation = evaluate([banks[i] for i in parts.validation], partly)
-    test = evaluate([banks[i] for i in parts.test], partly)
+    parts = split_recordings(len(fitter.banks), seed)
+    # The largest first, so that no process waits long for another at the end.
+    tasks = [
+        (list(range(len(fitter.banks))), []),
+        (parts.training, [parts.validation, parts.test]),
+        *((fit, [left]) for fit, left in grouped_folds(parts.training, folds, seed)),
+    ]
+    fits = in_parallel(fit_and_judge, [(fitter, *task) for task in tasks], jobs, progress, shared=True)
+    (whole, shape, _), (_, _, (validation, test)) = fits[:2]
+    cross = pool([judged for _, _, (judged,) in fits[2:]])
     record = _record(recordings, parts, seed, folds, shape, cross, validation, test)
     artefact = whole.model_copy(update={"training": record})
     return Training(artefact, cross, validation, test, parts, shape)
@@ -141,12 +138,12 @@ def make_fitter(
     return Fitter(selector, rate, entries, common_vehicle(list(recordings)), seed, banks, windows)
 
 
-def fit_all(
-    fitter: Fitter, tasks: Sequence[Sequence[int]], jobs: int, progress: Callable[[], None] | None
-) -> list[tuple[Artefact, TreeShape]]:
-    """Fit on each set of recordings, side by side; one thread each, so that the sums are the same everywhere."""
-    with threadpool_limits(1):
-        return in_parallel(fitter.fit, [(members,) for members in tasks], jobs, progress, prefer="threads")
+def fit_and_judge(
+    fitter: Fitter, members: Sequence[int], others: Sequence[Sequence[int]]
+) -> tuple[Artefact, TreeShape, list[Evaluation]]:
+    """Fit on some recordings, and judge that on each group of others."""
+    artefact, shape = fitter.fit(members)
+    return artefact, shape, [evaluate([fitter.banks[i] for i in group], artefact) for group in others]
 
 
 def steps(recordings: Sequence[Recording], folds: int) -> int:
