@@ -19,7 +19,7 @@ from crosscomb.selection.tree import Tree
 from crosscomb.selection.trust import Trust
 from crosscomb.selection.windows import WindowSettings
 from crosscomb.training.folds import grouped_folds
-from crosscomb.training.metrics import score
+from crosscomb.training.metrics import rms
 from crosscomb.training.selectors.bank import BankRun
 from crosscomb.training.selectors.fit_boosted import fit_choice, fit_temperature
 from crosscomb.training.selectors.fit_correction import (
@@ -186,7 +186,7 @@ class Fitter:
         """Fit on some recordings: the shape of the tree and the trust are found on folds inside them."""
         inner = grouped_folds(list(members), INNER_FOLDS, self.seed)
         candidates = [[(test, self._plain(fit, shape)) for fit, test in inner] for shape in self.kind.shapes]
-        best = int(np.argmin([self._rmse(fitted) for fitted in candidates])) if len(candidates) > 1 else 0
+        best = int(np.argmin([self._rmse(fitted) for fitted in candidates]))
         left_out, shape = candidates[best], self.kind.shapes[best]
         artefact = self._plain(members, shape)
         if self.kind.choice:
@@ -242,12 +242,14 @@ class Fitter:
         return tree
 
     def _rmse(self, left_out: Sequence[tuple[list[int], Artefact]]) -> float:
-        """Mean RMSE [rad] of recordings that their artefact was not fitted on."""
+        """Mean RMSE [rad] of the picked filters over the windows of recordings that their tree was not fitted on."""
         each = []
         for members, artefact in left_out:
-            for bank in (self.banks[i] for i in members):
-                beta = np.concatenate([select(start_selection(artefact), run).beta for run in bank.runs])
-                each.append(score(beta, bank.beta_ref, bank.counted).rmse)
+            for windows in (self.windows[i] for i in members):
+                picked = artefact.tree.predict(
+                    windows.everything if self.kind.all_signals else windows.features
+                )
+                each.append(rms(windows.rmse[np.arange(len(picked)), picked]))
         return float(np.mean(each))
 
     def _choice(self, members: Sequence[int]) -> Choice:

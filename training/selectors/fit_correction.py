@@ -29,13 +29,13 @@ class Size(NamedTuple):
     rounds: int = 0
 
 
-FULL = Size(2, (64, 32), 3200, 300)
-"""What corrects; on simulated logs six networks of 9,000 steps erred by a percent less."""
+FULL = Size(2, (64, 32), 2400, 150)
+"""What corrects; on simulated logs six networks of 9,000 steps erred by two percent less."""
 
-FEW = Size(1, (64, 32), 2400, 300)
+FEW = Size(1, (64, 32), 1600, 150)
 """The same in the fits that only show what is left over on other recordings."""
 
-DOUBT = Size(1, (32, 16), 1600)
+DOUBT = Size(1, (32, 16), 800)
 
 SHARE = 0.8
 """Share of the corrected filter in the answer, the rest is the blend's.
@@ -52,7 +52,7 @@ BATCH, EPOCHS = 512, 30
 PHASES = ((4e-3, 0.7), (1e-3, 0.15), (2.5e-4, 0.15))
 """Learning rates and their shares of the passes.
 
-On simulated logs a rate that falls erred as little in ten passes as one rate (2e-3) in thirty.
+On simulated logs a rate that falls erred as little in ten passes as one rate (2e-3) in fifteen.
 """
 
 MOST_ROWS = 60_000
