@@ -16,6 +16,9 @@ MOST_VALUES = 2_500_000
 LEVELS = 128
 """Values of a feature that a tree tells apart in training; on simulated logs 64 erred more, all of them no less."""
 
+SMALL = 5_000
+"""So many windows are sorted fast as they are."""
+
 
 @dataclass(frozen=True)
 class TreeShape:
@@ -76,6 +79,8 @@ def to_levels(features: np.ndarray) -> np.ndarray:
     Thresholds lie halfway between two levels, where a value goes to the one or the other: the tree asks the same of
     the values themselves.
     """
+    if len(features) < SMALL:
+        return features
     levels = np.quantile(features, np.linspace(0.0, 1.0, LEVELS), axis=0, method="nearest")
     halfway = 0.5 * (levels[1:] + levels[:-1])
     columns = range(features.shape[1])
