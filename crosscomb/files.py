@@ -7,10 +7,11 @@ import json
 import os
 import platform
 import tempfile
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 from crosscomb.errors import UsageError
 
@@ -30,8 +31,8 @@ def refuse_overwriting(inputs: Iterable[Path], outputs: Iterable[Path]) -> None:
             raise UsageError(f"{path}: would be overwritten by this run: let it write into another folder")
 
 
-def read_bytes(path: Path, kind: str = "file", origin: str = "check the name") -> bytes:
-    """Read a file whole.
+def open_file(path: Path, kind: str = "file", origin: str = "check the name") -> BinaryIO:
+    """Open a file to read its bytes.
 
     Parameters
     ----------
@@ -47,7 +48,7 @@ def read_bytes(path: Path, kind: str = "file", origin: str = "check the name") -
         It is missing, a folder, or must not be read.
     """
     try:
-        return path.read_bytes()
+        return path.open("rb")
     except FileNotFoundError:
         raise UsageError(f"{path}: no such {kind}: {origin}") from None
     except OSError as error:
@@ -56,8 +57,15 @@ def read_bytes(path: Path, kind: str = "file", origin: str = "check the name") -
         raise UsageError(f"{path}: cannot be read ({error.strerror}): check its permissions") from None
 
 
-def write_file(path: Path, write: Callable[[Path], object]) -> None:
-    """Let `write` fill a temporary file beside `path`, then rename it: no half-written file is ever seen.
+def read_bytes(path: Path, kind: str = "file", origin: str = "check the name") -> bytes:
+    """Read a file whole; as `open_file`."""
+    with open_file(path, kind, origin) as file:
+        return file.read()
+
+
+@contextmanager
+def writing(path: Path) -> Iterator[Path]:
+    """Give a temporary file beside `path` to be filled, then rename it: no half-written file is ever seen.
 
     Raises
     ------
@@ -75,13 +83,19 @@ def write_file(path: Path, write: Callable[[Path], object]) -> None:
     os.close(handle)
     temporary = Path(name)
     try:
-        write(temporary)
+        yield temporary
         temporary.chmod(0o644)
         temporary.replace(path)
     except OSError as error:
         raise UsageError(f"{path}: cannot be written ({error.strerror})") from None
     finally:
         temporary.unlink(missing_ok=True)
+
+
+def write_file(path: Path, write: Callable[[Path], object]) -> None:
+    """Let `write` fill a file, as in `writing`."""
+    with writing(path) as temporary:
+        write(temporary)
 
 
 def write_text(path: Path, text: str) -> None:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import math
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -139,19 +140,48 @@ def make_signals(frame: pd.DataFrame, name: str, source: str = "", others: Seque
     UsageError
         A needed column is missing or empty, fewer than two rows, or t does not increase.
     """
-    source = source or name
-    rows = frame.index.to_numpy() if frame.index.name == "row" else np.arange(len(frame)) + 2
-    known = [column for column in UNITS if column in frame]
-    table = frame[known].astype(np.float64).reset_index(drop=True)
-    _require_columns(table, source, others)
-    infinite = int(np.isinf(table.to_numpy()).sum())
-    notes: tuple[str, ...] = ()
-    if infinite:
-        table = table.replace([np.inf, -np.inf], np.nan)
-        notes = (f"{infinite} infinite values taken as missing",)
-    _require_increasing_time(table, source, rows)
-    _require_values(table, source)
-    return Signals(name=name, frame=table, source=source, notes=notes)
+    intake = Intake(name, source or name, others)
+    signals = intake.take(frame)
+    return replace(signals, notes=tuple(intake.finish()))
+
+
+@dataclass
+class Intake:
+    """A log on its way through the checks of `make_signals`, piece by piece."""
+
+    name: str
+    source: str
+    others: Sequence[str] = ()
+    rows: int = 0
+    t: float = -math.inf  # of the newest row [s]
+    infinite: int = 0
+    measured: dict[str, bool] = field(default_factory=dict)  # by column, whether there was a value
+
+    def take(self, frame: pd.DataFrame) -> Signals:
+        """Check the next rows; see `make_signals`."""
+        rows = frame.index.to_numpy() if frame.index.name == "row" else np.arange(len(frame)) + self.rows + 2
+        known = [column for column in UNITS if column in frame]
+        table = frame[known].astype(np.float64).reset_index(drop=True)
+        _require_columns(table, self.source, self.others)
+        infinite = int(np.isinf(table.to_numpy()).sum())
+        if infinite:
+            table = table.replace([np.inf, -np.inf], np.nan)
+        _require_increasing_time(table, self.source, rows, self.t)
+        self.rows += len(table)
+        self.t = float(table["t"].iloc[-1]) if len(table) else self.t
+        self.infinite += infinite
+        for column in known:
+            if not self.measured.get(column):
+                self.measured[column] = bool(table[column].notna().any())
+        return Signals(self.name, table, self.source)
+
+    def finish(self) -> list[str]:
+        """Check what only the whole log can tell; gives the notes on it."""
+        if self.rows < 2:
+            count = "no data rows" if self.rows == 0 else "one data row"
+            raise UsageError(f"{self.source}: has {count}, at least two are needed: record a longer log")
+        _require_values(self.measured, self.source)
+        return [f"{self.infinite} infinite values taken as missing"] if self.infinite else []
 
 
 def _require_columns(table: pd.DataFrame, source: str, others: Sequence[str]) -> None:
@@ -173,37 +203,35 @@ def _require_columns(table: pd.DataFrame, source: str, others: Sequence[str]) ->
         raise UsageError(
             f"{source}: column vx [m/s] is missing{has}: add it or all four wheel speeds {wheels}, {mend}"
         )
-    if len(table) < 2:
-        count = "no data rows" if len(table) == 0 else "one data row"
-        raise UsageError(f"{source}: has {count}, at least two are needed: record a longer log")
 
 
-def _require_increasing_time(table: pd.DataFrame, source: str, rows: np.ndarray) -> None:
+def _require_increasing_time(table: pd.DataFrame, source: str, rows: np.ndarray, newest: float) -> None:
     t = table["t"].to_numpy()
     bad = np.flatnonzero(~np.isfinite(t))
     if bad.size:
         raise UsageError(
             f"{source}: row {rows[bad[0]]}, column t: no time there: fill it in or delete the row"
         )
-    step = np.flatnonzero(np.diff(t) <= 0.0)
+    step = np.flatnonzero(np.diff(t, prepend=newest) <= 0.0)
     if step.size:
-        row = int(step[0]) + 1
-        what = "repeats" if t[row] == t[row - 1] else "goes backwards"
+        row = int(step[0])
+        before = float(t[row - 1]) if row else newest
+        what = "repeats" if t[row] == before else "goes backwards"
         raise UsageError(
-            f"{source}: row {rows[row]}, column t: time {what} ({t[row - 1]:.10g} then {t[row]:.10g} s): "
+            f"{source}: row {rows[row]}, column t: time {what} ({before:.10g} then {t[row]:.10g} s): "
             f"sort the rows and delete repeated ones"
         )
 
 
-def _require_values(table: pd.DataFrame, source: str) -> None:
+def _require_values(measured: Mapping[str, bool], source: str) -> None:
+    """Refuse a log in which a needed column has no value, by what was `measured` at all."""
     for column in ("ay", "yaw_rate"):
-        if not table[column].notna().any():
+        if not measured[column]:
             raise UsageError(f"{source}: column {column} has no value in any row: log that channel")
-    if not any(column in table and table[column].notna().any() for column in ("steer", "steer_wheel")):
-        present = " and ".join(column for column in ("steer", "steer_wheel") if column in table)
+    if not any(measured.get(column) for column in ("steer", "steer_wheel")):
+        present = " and ".join(column for column in ("steer", "steer_wheel") if column in measured)
         raise UsageError(f"{source}: column {present} has no value in any row: log the steering angle")
-    wheels = all(wheel in table and table[wheel].notna().any() for wheel in WHEEL_SPEEDS)
-    if not wheels and not ("vx" in table and table["vx"].notna().any()):
+    if not measured.get("vx") and not all(measured.get(wheel) for wheel in WHEEL_SPEEDS):
         raise UsageError(
             f"{source}: column vx has no value in any row: log the speed, or all four wheel speeds"
         )

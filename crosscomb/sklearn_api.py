@@ -18,6 +18,7 @@ from sklearn.utils.validation import check_is_fitted, validate_data
 from crosscomb.errors import UsageError
 from crosscomb.filters.catalogue import DEFAULT_FILTERS
 from crosscomb.logs.intake import require_plausible
+from crosscomb.logs.plausibility import check_units
 from crosscomb.logs.prepare import complete
 from crosscomb.models.vehicle import Vehicle, load_vehicle
 from crosscomb.run.estimate import estimate_log
@@ -287,5 +288,5 @@ def _as_signals(log: Log, name: str, car: Vehicle) -> Signals:
         log = make_signals(log, name)
     if not isinstance(log, Signals):
         raise UsageError(f"{name}: is a {type(log).__name__}: pass each log as a DataFrame or Signals")
-    require_plausible(log, car)
+    require_plausible(log.source, check_units(log, car))
     return log

@@ -15,7 +15,7 @@ from crosscomb.errors import UsageError
 from crosscomb.files import write_file
 from crosscomb.logs.intake import choose_vehicle, open_logs
 from crosscomb.models.vehicle import Vehicle, load_vehicle
-from crosscomb.report.estimates import write_table
+from crosscomb.report.estimates import writing_table
 from crosscomb.run.estimate import LogEstimate, estimate_log
 from crosscomb.run.status import DEGRADED, INVALID, LOW_SPEED, TEXTS
 from crosscomb.selection.artefact import Artefact, load_artefact, save_artefact
@@ -332,7 +332,8 @@ def test_made_columns_are_said(lively, car, artefact):
 
 def test_a_filter_file_row_is_written_exactly(lively, car, artefact, tmp_path):
     estimate = estimate_log(lively, car, artefact)
-    write_table(estimate.table(), tmp_path / "x.estimate.csv")
+    with writing_table(tmp_path / "x.estimate.csv") as write:
+        write(estimate.table())
     numbers = [name for name in estimate.table() if name not in ("active", "status")]
     back = pd.read_csv(tmp_path / "x.estimate.csv", converters=dict.fromkeys(numbers, float))
     pd.testing.assert_frame_equal(back, estimate.table(), check_dtype=False, check_exact=True)

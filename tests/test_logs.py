@@ -214,12 +214,12 @@ from crosscomb.logs.formats.table import Columns
 def recognises(data):
     return data.startswith(b"TOY\\0")
 
-def open_log(data, source, reader):
-    names, *rows = (line.split("|") for line in data[4:].decode().splitlines())
+def open_log(content, source, reader):
+    names, *rows = (line.split("|") for line in content.whole()[4:].decode().splitlines())
     table = np.array(rows, dtype=float)
     index = pd.RangeIndex(2, 2 + len(table), name="row")
     return Columns(
-        names, "row 1", lambda wanted: pd.DataFrame({name: table[:, at] for name, at in wanted.items()}, index)
+        names, "row 1", lambda wanted: [pd.DataFrame({name: table[:, at] for name, at in wanted.items()}, index)]
     )
 """
 

@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from crosscomb.logs.prepare import causal_slope, complete, speed_from_wheels
+from crosscomb.logs.prepare import Line, complete, next_slopes, speed_from_wheels
 from crosscomb.logs.read import read_log
 from crosscomb.models.vehicle import Vehicle, load_vehicle
 from crosscomb.signals import WHEEL_SPEEDS, Signals
@@ -118,7 +118,7 @@ def test_slope_is_exact_on_a_line_at_any_spacing_and_far_from_zero_time() -> Non
     t = 5e5 + np.cumsum(rng.uniform(0.001, 0.02, 500))
     values = 3.0 - 2.5 * (t - t[0])
     values[rng.random(500) < 0.2] = np.nan
-    slope = causal_slope(t, values, 0.05)
+    slope = next_slopes(Line(t[0]), t, values, 0.05)
     known = np.isfinite(slope)
     assert np.array_equal(known, np.isfinite(values) & (np.cumsum(np.isfinite(values)) >= 3))
     np.testing.assert_allclose(slope[known], -2.5, rtol=1e-6)
@@ -127,18 +127,20 @@ def test_slope_is_exact_on_a_line_at_any_spacing_and_far_from_zero_time() -> Non
 def test_slope_does_not_reach_across_a_gap_and_is_causal() -> None:
     t = np.concatenate([np.arange(50), np.arange(50) + 1000.0]) / 100.0
     values = np.random.default_rng(4).normal(size=100)
-    slope = causal_slope(t, values, 0.05)
+    slope = next_slopes(Line(t[0]), t, values, 0.05)
     assert np.all(np.isnan(slope[[0, 1, 50, 51]]))
     assert np.isfinite(slope[2:50]).all()
     for row in (10, 49, 60):
         changed = values.copy()
         changed[row + 1 :] = 1e6
-        assert np.array_equal(causal_slope(t, changed, 0.05)[: row + 1], slope[: row + 1], equal_nan=True)
+        assert np.array_equal(
+            next_slopes(Line(t[0]), t, changed, 0.05)[: row + 1], slope[: row + 1], equal_nan=True
+        )
 
 
 def test_slow_log_still_gets_a_slope() -> None:
     t = np.arange(30) / 20.0
-    np.testing.assert_allclose(causal_slope(t, 2.0 * t, 0.05)[2:], 2.0)
+    np.testing.assert_allclose(next_slopes(Line(t[0]), t, 2.0 * t, 0.05)[2:], 2.0)
 
 
 def test_measured_acceleration_is_like_the_slope_of_the_speed(data_dir: Path) -> None:

@@ -14,6 +14,7 @@ from crosscomb.logs.channel_map import ChannelMap
 from crosscomb.logs.formats.table import ending, endings, log_name
 from crosscomb.logs.grid import to_grid
 from crosscomb.logs.intake import require_plausible
+from crosscomb.logs.plausibility import check_units
 from crosscomb.logs.prepare import complete
 from crosscomb.logs.read import read_log
 from crosscomb.models.vehicle import Vehicle, load_vehicle
@@ -156,7 +157,7 @@ def read_recordings(
             if progress is not None:
                 progress()
             signals = read_log(path, channel_map)
-            require_plausible(signals, car)
+            require_plausible(signals.source, check_units(signals, car))
             signals = complete(signals, car)
             if not unscored and not signals.has_reference:
                 notes.append(f"{prefix}{path.name}: skipped, it has no ground truth above walking speed")

@@ -96,14 +96,14 @@ def answer(
     """Estimate opened logs, write and show; for what else may be `wanted` see `write_estimate`."""
     from crosscomb.report import terminal
     from crosscomb.report.estimates import Summary, write_estimate
-    from crosscomb.run.estimate import estimate_log
+    from crosscomb.run.estimate import start_run
 
     summary = Summary()
     with terminal.progress("estimating", len(opened)) as advance:
         for log in opened:
-            result = estimate_log(log.signals, log.vehicle, artefact, names or None, given, extras)
-            write_estimate(result, log, output, sources, **wanted)
-            summary.add(result)
+            run = start_run(log.vehicle, artefact, names or None, given, extras)
+            tally = write_estimate(run, log, output, sources, **wanted)
+            summary.add(log.file.name, tally, [*log.file.notes, *run.notes()])
             advance()
     terminal.show_summary(summary)
     terminal.say(f"{output}: {len(opened)} estimates written")
@@ -134,7 +134,7 @@ def check(
     for finding in findings:
         terminal.say(f"{finding.severity}: column {finding.column}: {finding.message}")
     if warning:  # the generic car stands in
-        require_road_wheel_angle(signals)
+        require_road_wheel_angle(signals.source, signals.has("steer"))
     if any(finding.severity == "error" for finding in findings):
         raise typer.Exit(2)
     terminal.say("nothing plainly wrong" if findings else "nothing wrong found")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
@@ -14,8 +15,8 @@ from pydantic import Field, model_validator
 from crosscomb.checked import FileKind, FiniteRecord, read_checked
 from crosscomb.errors import UsageError
 from crosscomb.logs.grid import MAX_AGE
-from crosscomb.logs.prepare import causal_slope
-from crosscomb.signals import GRAVITY, REFERENCES, UNITS, Signals, make_signals
+from crosscomb.logs.prepare import Line, next_slopes
+from crosscomb.signals import GRAVITY, REFERENCES, UNITS, Intake, Signals
 
 DEGREE = np.pi / 180.0
 
@@ -177,46 +178,97 @@ def apply_map(
     UsageError
         As for `crosscomb.signals.make_signals`.
     """
-    table = pd.DataFrame(index=frame.index)
-    for target in UNITS:
-        column = channel_map.column(target)
-        if column in frame:
-            table[target] = _to_si(frame[column], target, channel_map)
-    signals = make_signals(table, name, source, others)
-    return _move_accelerometer(_align_delays(signals, channel_map), channel_map)
+    intake = MapIntake(channel_map, Intake(name, source or name, others))
+    signals = intake.take(frame)
+    return replace(signals, notes=tuple(intake.finish()))
 
 
-def _to_si(raw: pd.Series, name: str, channel_map: ChannelMap) -> pd.Series:
-    channel = channel_map.channels.get(name, Channel())
-    if name == "t" and channel_map.reader.time_from_zero and len(raw):
-        raw = raw - raw.iloc[0]
-    factor = channel.sign * channel.scale * FACTORS[UNITS[name]][unit_name(channel.unit or UNITS[name])]
-    return raw * factor - channel.offset
+@dataclass
+class MapIntake:
+    """A log with foreign columns on its way to ours, in pieces of any length with the same result bit for bit."""
+
+    channel_map: ChannelMap
+    intake: Intake
+    first: float | None = None  # t of the first row, as it stands in the log
+    late: pd.DataFrame | None = None  # rows that later ones look back to
+    origin: float = 0.0  # t of the first row [s]
+    line: Line | None = None  # of the yaw rate
+
+    def take(self, frame: pd.DataFrame) -> Signals:
+        """Take the next rows."""
+        columns = {}
+        for target in UNITS:
+            column = self.channel_map.column(target)
+            if column in frame:
+                columns[target] = self._to_si(frame[column], target)
+        signals = self.intake.take(pd.DataFrame(columns, index=frame.index))
+        return self._move_accelerometer(self._align_delays(signals)) if len(signals) else signals
+
+    def finish(self) -> list[str]:
+        """As of `Intake`, and what was done to the channels."""
+        notes = self.intake.finish()
+        if self._latest():
+            text = f"a row describes the car {self._latest():g} s before its t"
+            notes.append(f"every channel held back to the latest one: {text}")
+        if self.channel_map.accelerometer:
+            x, y = self.channel_map.accelerometer.position
+            where = f"x = {x:g} m, y = {y:g} m"
+            notes.append(f"accelerations moved from the sensor at {where} to the centre of gravity")
+        return notes
+
+    def _to_si(self, raw: pd.Series, name: str) -> pd.Series:
+        channel = self.channel_map.channels.get(name, Channel())
+        if name == "t" and self.channel_map.reader.time_from_zero and len(raw):
+            self.first = float(raw.iloc[0]) if self.first is None else self.first
+            raw = raw - self.first
+        factor = channel.sign * channel.scale * FACTORS[UNITS[name]][unit_name(channel.unit or UNITS[name])]
+        return raw * factor - channel.offset
+
+    def _latest(self) -> float:
+        """Delay of the latest channel [s]."""
+        channels = self.channel_map.channels.items()
+        return max((channel.delay for name, channel in channels if name in self.intake.measured), default=0.0)
+
+    def _align_delays(self, signals: Signals) -> Signals:
+        """Hold every channel back to the latest one, so that a row describes one instant."""
+        latest = self._latest()
+        if latest == 0.0:
+            return signals
+        if self.late is None:
+            self.origin, self.late = float(signals.t[0]), signals.frame[:0]
+        known, new = len(self.late), signals.frame
+        frame = pd.concat([self.late, new], ignore_index=True) if known else new
+        t = frame["t"].to_numpy()
+        held = {}
+        for name in signals.frame.columns.drop("t"):
+            delay = latest - self.channel_map.channels.get(name, Channel()).delay
+            held[name] = _delayed(t, frame[name].to_numpy(), delay, self.origin, known)
+        self.late = frame[max(0, int(np.searchsorted(t, t[-1] - latest - MAX_AGE)) - 1) :].copy()
+        return signals.with_columns("", **held)
+
+    def _move_accelerometer(self, signals: Signals) -> Signals:
+        """Accelerations at the centre of gravity of a rigid body that turns about z."""
+        if self.channel_map.accelerometer is None:
+            return signals
+        x, y = self.channel_map.accelerometer.position
+        yaw_rate = signals.column("yaw_rate")
+        self.line = self.line or Line(float(signals.t[0]))
+        yaw_acceleration = next_slopes(self.line, signals.t, yaw_rate, DERIVATIVE_WINDOW)
+        moved = {"ay": signals.column("ay") - x * yaw_acceleration + y * yaw_rate**2}
+        if signals.has("ax"):
+            moved["ax"] = signals.column("ax") + y * yaw_acceleration + x * yaw_rate**2
+        return signals.with_columns("", **moved)
 
 
-def _align_delays(signals: Signals, channel_map: ChannelMap) -> Signals:
-    """Hold every channel back to the latest one, so that a row describes one instant."""
-    late = {name: channel.delay for name, channel in channel_map.channels.items() if name in signals.frame}
-    latest = max(late.values(), default=0.0)
-    if latest == 0.0:
-        return signals
-    held = {
-        name: _delayed(signals.t, signals.column(name), latest - late.get(name, 0.0))
-        for name in signals.frame.columns.drop("t")
-    }
-    note = f"every channel held back to the latest one: a row describes the car {latest:g} s before its t"
-    return signals.with_columns(note, **held)
-
-
-def _delayed(t: np.ndarray, values: np.ndarray, delay: float) -> np.ndarray:
-    """Value a while ago ``(n,)``, on the line between the two samples around that time.
+def _delayed(t: np.ndarray, values: np.ndarray, delay: float, origin: float, known: int) -> np.ndarray:
+    """Value a while ago ``(n - known,)`` at the rows after the first `known`, on the line between two samples.
 
     The newer of the two is never later than the row itself, because every row has a sample. Across a silence
     of more than `MAX_AGE`, and beside a missing value, there is none.
     """
-    tau = t - t[0]
-    rounding = max(1e-9, 4.0 * float(np.spacing(abs(t[0]))))
-    then = tau - delay
+    tau = t - origin
+    rounding = max(1e-9, 4.0 * float(np.spacing(abs(origin))))
+    then = tau[known:] - delay
     newer = np.searchsorted(tau, then - rounding)
     older = np.maximum(newer - 1, 0)
     exact = np.abs(tau[newer] - then) <= rounding
@@ -225,17 +277,3 @@ def _delayed(t: np.ndarray, values: np.ndarray, delay: float) -> np.ndarray:
     between = values[older] + share * (values[newer] - values[older])
     near = (newer > 0) & (width <= MAX_AGE + rounding)
     return np.where(exact, values[newer], np.where(near, between, np.nan))
-
-
-def _move_accelerometer(signals: Signals, channel_map: ChannelMap) -> Signals:
-    """Accelerations at the centre of gravity of a rigid body that turns about z."""
-    if channel_map.accelerometer is None:
-        return signals
-    x, y = channel_map.accelerometer.position
-    yaw_rate = signals.column("yaw_rate")
-    yaw_acceleration = causal_slope(signals.t, yaw_rate, DERIVATIVE_WINDOW)
-    moved = {"ay": signals.column("ay") - x * yaw_acceleration + y * yaw_rate**2}
-    if signals.has("ax"):
-        moved["ax"] = signals.column("ax") + y * yaw_acceleration + x * yaw_rate**2
-    note = f"accelerations moved from the sensor at x = {x:g} m, y = {y:g} m to the centre of gravity"
-    return signals.with_columns(note, **moved)

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from crosscomb.errors import UsageError
 from crosscomb.logs.channel_map import ChannelMap
 from crosscomb.logs.formats.table import log_name
-from crosscomb.logs.plausibility import check_units
-from crosscomb.logs.read import read_log
+from crosscomb.logs.gaps import Finding
+from crosscomb.logs.plausibility import Look
+from crosscomb.logs.read import LogFile, open_log
 from crosscomb.models.vehicle import Vehicle, load_vehicle
 from crosscomb.signals import REFERENCES, Signals
 
@@ -25,19 +26,27 @@ class OpenedLog:
     Attributes
     ----------
     path : Path
-    signals : Signals
-        As read.
+    file : LogFile
+    rows : int
     vehicle : Vehicle
     origin : str
         Where the vehicle came from.
     warnings : tuple of str
+    whole : Signals, optional
+        All of the log, where it came in one chunk.
     """
 
     path: Path
-    signals: Signals
+    file: LogFile
+    rows: int
     vehicle: Vehicle
     origin: str
     warnings: tuple[str, ...]
+    whole: Signals | None
+
+    def chunks(self) -> Iterable[Signals]:
+        """The log as read, piece by piece; a long one is read anew."""
+        return [self.whole] if self.whole is not None else self.file.chunks()
 
 
 def open_logs(
@@ -95,12 +104,16 @@ def log_names(paths: Sequence[Path]) -> dict[str, Path]:
 def _open_log(
     path: Path, trained: Vehicle | None, vehicle: str | Path | None, channel_map: ChannelMap | None
 ) -> OpenedLog:
-    signals = read_log(path, channel_map)
+    file, look, chunks = open_log(path, channel_map), Look(), 0
+    for chunk in file.chunks():
+        look.take(chunk)
+        chunks += 1
     car, origin, warning = choose_vehicle(path, vehicle, trained)
     if warning:  # the generic car stands in
-        require_road_wheel_angle(signals)
-    warnings = [*([warning] if warning else []), *require_plausible(signals, car)]
-    return OpenedLog(path, signals, car, origin, tuple(warnings))
+        require_road_wheel_angle(str(path), look.has("steer"))
+    found = require_plausible(str(path), look.findings(car))
+    warnings = (*([warning] if warning else []), *found)
+    return OpenedLog(path, file, look.gaps.rows, car, origin, warnings, chunk if chunks == 1 else None)
 
 
 def choose_vehicle(
@@ -130,33 +143,39 @@ def choose_vehicle(
     return load_vehicle(GENERIC), GENERIC, warning
 
 
-def require_road_wheel_angle(signals: Signals) -> None:
+def require_road_wheel_angle(source: str, has_steer: bool) -> None:
     """Refuse a log that has only the hand-wheel angle when the car, and so its steering ratio, is unknown.
 
     Raises
     ------
     UsageError
     """
-    if not signals.has("steer"):
+    if not has_steer:
         raise UsageError(
-            f"{signals.source}: column steer is missing and steer_wheel needs the car's steering ratio: "
+            f"{source}: column steer is missing and steer_wheel needs the car's steering ratio: "
             f"give `vehicle`, or map steer with scale = 1 / ratio (`channel_map`)"
         )
 
 
-def require_plausible(signals: Signals, vehicle: Vehicle) -> list[str]:
+def require_plausible(source: str, findings: list[Finding]) -> list[str]:
     """Refuse a log whose units or signs are plainly wrong; give the warnings about what merely looks odd.
+
+    Parameters
+    ----------
+    source : str
+        What messages call the log.
+    findings : list of Finding
+        As of `crosscomb.logs.plausibility.check_units`.
 
     Raises
     ------
     UsageError
     """
-    findings = check_units(signals, vehicle)
     for finding in findings:
         if finding.severity == "error":
-            raise UsageError(f"{signals.source}: column {finding.column}: {finding.message}")
+            raise UsageError(f"{source}: column {finding.column}: {finding.message}")
     return [
-        f"{signals.source}: column {finding.column}: {finding.message}"
+        f"{source}: column {finding.column}: {finding.message}"
         for finding in findings
         if finding.column not in REFERENCES
     ]

@@ -7,9 +7,12 @@ quiet driving, drifting and spinning raise nothing. What the ties prove is worke
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+
 import numpy as np
 
-from crosscomb.logs.gaps import Finding, check_gaps
+from crosscomb.logs.gaps import Finding, Gaps
 from crosscomb.logs.grid import to_grid
 from crosscomb.logs.unit_faults import Fault, Tie, explain, findings_of, sign_fault, unit_fault
 from crosscomb.models.vehicle import Vehicle
@@ -31,6 +34,14 @@ _DEGREE = np.pi / 180.0
 _WIDE = (0.15, 6.0)  # for ties that are too loose to judge more than degrees and sign
 
 
+_TABLE = (
+    *("vx", "ax", "ay", "yaw_rate", "steer", "steer_wheel", *WHEEL_SPEEDS, "beta_ref", "vx_ref"),
+    *("wheels", "speed", "speed_rate", "vy_rate"),
+)
+MOST = 1 << 16
+"""So many numbers of each kind are looked at; of a longer log every second, fourth, eighth ... one."""
+
+
 def check_units(signals: Signals, vehicle: Vehicle) -> list[Finding]:
     """Check units, signs and gaps of a log against physics and its own channels.
 
@@ -46,27 +57,76 @@ def check_units(signals: Signals, vehicle: Vehicle) -> list[Finding]:
     list of Finding
         Errors first. A log with an error should not be used before it is mended.
     """
-    slow = _check_time_unit(signals)
-    if slow:
-        return slow
-    table = _smoothed(signals)
-    ties = _limit_ties(signals, LIMITS)
-    if table:
-        ties += _channel_ties(signals, table, vehicle)
-    sets = explain(ties, _possible_faults(signals, ties, vehicle))
-    reference_ties = _limit_ties(signals, {"beta_ref": BETA_LIMIT})
-    if table and len(sets) == 1:
-        reference_ties += _reference_ties(_mended(table, sets[0]), vehicle)
-    in_degrees, reversed_ = unit_fault("beta_ref", "deg", _DEGREE), sign_fault("beta_ref", sure=False)
-    reference_sets = explain(reference_ties, [(in_degrees,), (reversed_,)])
-    findings = [*findings_of(sets, ties), *findings_of(reference_sets, reference_ties)]
-    if table and not findings:
-        findings = _friction_bound(table, vehicle)
-    return sorted([*findings, *check_gaps(signals)], key=lambda finding: finding.severity)
+    look = Look()
+    look.take(signals)
+    return look.findings(vehicle)
 
 
-def _check_time_unit(signals: Signals) -> list[Finding]:
-    step = float(np.median(np.diff(signals.t)))
+@dataclass
+class Thinned:
+    """At most `MOST` rows of many, evenly spread: every one, or every second, fourth, eighth ... one."""
+
+    stride: int = 1
+    count: int = 0  # rows that came
+    kept: list[np.ndarray] = field(default_factory=list)
+
+    def take(self, rows: np.ndarray) -> None:
+        """Take the next rows ``(n, ...)``."""
+        self.kept.append(rows[-self.count % self.stride :: self.stride].copy())
+        self.count += len(rows)
+        while -(-self.count // self.stride) > MOST:
+            self.kept, self.stride = [self.rows()[::2].copy()], 2 * self.stride
+
+    def rows(self) -> np.ndarray:
+        """Those that were kept."""
+        return np.concatenate(self.kept)
+
+
+@dataclass
+class Look:
+    """What the checks of a log need, gathered piece by piece in memory that does not grow with the log."""
+
+    gaps: Gaps = field(default_factory=Gaps)
+    steps: Thinned = field(default_factory=Thinned)  # of t [s]
+    values: dict[str, Thinned] = field(default_factory=dict)  # measurements of each channel
+    smoothed: Thinned = field(default_factory=Thinned)  # rows of the `_TABLE`
+
+    def take(self, signals: Signals) -> None:
+        """Look at the next rows."""
+        self.steps.take(np.diff(signals.t, prepend=self.gaps.t)[0 if self.gaps.rows else 1 :])
+        self.gaps.take(signals)
+        for name in signals.frame.columns.intersection([*LIMITS, "beta_ref", "vfl"]):
+            values = signals.column(name)
+            self.values.setdefault(name, Thinned()).take(values[np.isfinite(values)])
+        for part in _smoothed(signals):
+            self.smoothed.take(part)
+
+    def has(self, name: str) -> bool:
+        """Tell whether a channel holds at least one measurement."""
+        return bool(self.gaps.measured.get(name))
+
+    def findings(self, vehicle: Vehicle) -> list[Finding]:
+        """As of `check_units`, on the rows so far."""
+        slow = _check_time_unit(float(np.median(self.steps.rows())))
+        if slow:
+            return slow
+        table = dict(zip(_TABLE, self.smoothed.rows().T, strict=True)) if self.smoothed.count else {}
+        ties = _limit_ties(self, LIMITS)
+        if table:
+            ties += _channel_ties(self, table, vehicle)
+        sets = explain(ties, _possible_faults(self, ties, vehicle))
+        reference_ties = _limit_ties(self, {"beta_ref": BETA_LIMIT})
+        if table and len(sets) == 1:
+            reference_ties += _reference_ties(_mended(table, sets[0]), vehicle)
+        in_degrees, reversed_ = unit_fault("beta_ref", "deg", _DEGREE), sign_fault("beta_ref", sure=False)
+        reference_sets = explain(reference_ties, [(in_degrees,), (reversed_,)])
+        findings = [*findings_of(sets, ties), *findings_of(reference_sets, reference_ties)]
+        if table and not findings:
+            findings = _friction_bound(table, vehicle)
+        return sorted([*findings, *self.gaps.findings()], key=lambda finding: finding.severity)
+
+
+def _check_time_unit(step: float) -> list[Finding]:
     if step < 0.5:
         return []
     unit = "ms" if step < 1e3 else "us" if step < 1e6 else "ns"
@@ -77,19 +137,23 @@ def _check_time_unit(signals: Signals) -> list[Finding]:
     return [Finding("error", "t", message)]
 
 
-def _smoothed(signals: Signals) -> dict[str, np.ndarray]:
-    """Low-passed channels on a regular grid, with the rates of vx and of vy = vx * beta_ref."""
-    parts = []
-    for segment in to_grid(signals, RATE):
-        if len(segment.signals) < 2 * SMOOTHING:
+def _smoothed(signals: Signals) -> Iterator[np.ndarray]:
+    """Low-passed channels on a regular grid ``(n, _TABLE)``, with the rates of vx and of vy = vx * beta_ref.
+
+    A long log may be cut anywhere: at the cuts a few samples are smoothed less.
+    """
+    known = signals.frame.columns.intersection(["t", *_TABLE])
+    for segment in to_grid(replace(signals, frame=signals.frame[known]), RATE):
+        n = len(segment.signals)
+        if n < 2 * SMOOTHING:
             continue
-        part = {name: _moving_average(segment.signals.column(name)) for name in UNITS if name != "t"}
+        part = {name: np.full(n, np.nan) for name in _TABLE}
+        part |= {name: _moving_average(segment.signals.column(name)) for name in known if name != "t"}
         part["wheels"] = _wheel_speed(part)
         part["speed"] = part["vx"] if signals.has("vx") else part["wheels"]
         part["speed_rate"] = np.gradient(part["speed"]) * RATE
         part["vy_rate"] = np.gradient(part["speed"] * part["beta_ref"]) * RATE
-        parts.append(part)
-    return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]} if parts else {}
+        yield np.column_stack([part[name] for name in _TABLE])
 
 
 def _moving_average(values: np.ndarray) -> np.ndarray:
@@ -110,11 +174,11 @@ def _wheel_speed(part: dict[str, np.ndarray]) -> np.ndarray:
     return np.take_along_axis(wheels, nearest[None], axis=0)[0]
 
 
-def _limit_ties(signals: Signals, limits: dict[str, float]) -> list[Tie]:
+def _limit_ties(look: Look, limits: dict[str, float]) -> list[Tie]:
     ties = []
     for name, limit in limits.items():
-        if signals.has(name):
-            reach = float(np.nanquantile(np.abs(signals.column(name)), 0.98))
+        if look.has(name):
+            reach = float(np.quantile(np.abs(look.values[name].rows()), 0.98))
             text = f"{name} reaches {reach:.3g} {UNITS[name]}"
             ties.append(Tie(text, {name: 1}, reach / limit, possible=(0.0, 1.0), likely=(0.0, 1.0)))
     return ties
@@ -137,11 +201,11 @@ def _friction_bound(table: dict[str, np.ndarray], vehicle: Vehicle) -> list[Find
     return [Finding("warning", "ay", message)]
 
 
-def _channel_ties(signals: Signals, table: dict[str, np.ndarray], vehicle: Vehicle) -> list[Tie]:
+def _channel_ties(look: Look, table: dict[str, np.ndarray], vehicle: Vehicle) -> list[Tie]:
     """The ties between channels that this log can judge."""
-    speed = "vx" if signals.has("vx") else "wheels"
+    speed = "vx" if look.has("vx") else "wheels"
     steer, of_hand, ratio = "steer", "", 1.0
-    if not signals.has("steer"):
+    if not look.has("steer"):
         steer, of_hand, ratio = "steer_wheel", "steering_ratio * ", vehicle.steering_ratio
     table = {name: values[np.abs(table["speed"]) > 2.0] for name, values in table.items()}
     v, v_rate, yaw_rate = table["speed"], table["speed_rate"], table["yaw_rate"]
@@ -277,7 +341,7 @@ def _tie(
     """
     known = np.isfinite(sides[0]) & np.isfinite(sides[1])
     y, x = sides[0][known], sides[1][known]
-    xx, xy, yy = float(x @ x), float(x @ y), float(y @ y)
+    xx, xy, yy = _product(x, x), _product(x, y), _product(y, y)
     if known.sum() < 2.0 * RATE or xx == 0.0 or yy == 0.0:
         return None
     found = abs(xy) / np.sqrt(xx * yy)
@@ -286,7 +350,7 @@ def _tie(
     if violence is not None:
         force = np.abs(violence[known])
         gentle = force < 0.4 * np.quantile(force, 0.98)
-        gentle_xx, gentle_xy = float(x[gentle] @ x[gentle]), float(x[gentle] @ y[gentle])
+        gentle_xx, gentle_xy = _product(x[gentle], x[gentle]), _product(x[gentle], y[gentle])
         if gentle_xx > 0.01 * xx and not 0.75 <= (gentle_xy / gentle_xx) / (xy / xx) <= 1.33:
             return None
     signed = bool(found >= correlation[1])
@@ -303,14 +367,19 @@ def _tie(
     )
 
 
-def _possible_faults(signals: Signals, ties: list[Tie], vehicle: Vehicle) -> list[tuple[Fault, ...]]:
+def _product(x: np.ndarray, y: np.ndarray) -> float:
+    """Scalar product; the BLAS would wake threads for it that cost more than they give."""
+    return float(np.sum(x * y))
+
+
+def _possible_faults(look: Look, ties: list[Tie], vehicle: Vehicle) -> list[tuple[Fault, ...]]:
     """Single slips, and whole kinds of channels in one foreign unit, of the channels that the ties judge."""
     speeds = [unit_fault(channel, "km/h", 1.0 / 3.6) for channel in ("vx", "wheels", "vx_ref")]
     accelerations = [unit_fault(channel, "g", GRAVITY) for channel in ("ay", "ax")]
     angles = [unit_fault(channel, "deg", _DEGREE) for channel in ("steer", "steer_wheel")]
     angles.append(unit_fault("yaw_rate", "deg/s", _DEGREE))
     signs = [sign_fault(channel) for channel in ("ay", "ax", "yaw_rate", "steer", "steer_wheel")]
-    if np.nanmedian(signals.column("vx" if signals.has("vx") else "vfl")) < 0.0:
+    if np.median(look.values["vx" if look.has("vx") else "vfl"].rows()) < 0.0:
         signs.append(sign_fault("vx"))
     hand = Fault(
         "steer",

@@ -20,7 +20,8 @@ SPEED_SLOPE_WINDOW = 0.15
 MOST_WINDOWS = 5.0
 """No sample of a line is older than this many of its windows."""
 
-_STEER, _STEER_WHEEL, _VX, _AX = (COLUMN[name] for name in ("steer", "steer_wheel", "vx", "ax"))
+_T, _STEER, _STEER_WHEEL, _VX, _AX = (COLUMN[name] for name in ("t", "steer", "steer_wheel", "vx", "ax"))
+_NAMES = list(COLUMN)
 
 
 @dataclass
@@ -32,13 +33,33 @@ class Line:
     values: np.ndarray = field(default_factory=lambda: np.empty(0))
 
 
+_MADE = {
+    _STEER: "steer made from steer_wheel and the steering ratio {:g}",
+    _VX: "vx made from the wheel speeds, yaw rate and steering angle",
+    _AX: f"ax is missing: the slope of vx over the last {SPEED_SLOPE_WINDOW:g} s is taken instead",
+}
+"""What is said of each column that may be made."""
+
+
 @dataclass
 class Completion:
-    """A log on its way through the completion: which columns have had a sample, and recent vx."""
+    """A log on its way through the completion: when columns had their first sample, which were made, and recent vx."""
 
     vehicle: Vehicle
-    seen: set[int] = field(default_factory=set)
+    first: dict[int, float] = field(default_factory=dict)  # t of the first sample of each column [s]
+    made: set[int] = field(default_factory=set)  # columns with a made value
     line: Line | None = None
+
+    def notes(self) -> dict[str, str]:
+        """What was made of the rows so far, by column."""
+        notes = {}
+        for column, text in _MADE.items():
+            note = text.format(self.vehicle.steering_ratio)
+            if column not in self.first:
+                notes[_NAMES[column]] = note
+            elif column in self.made:
+                notes[_NAMES[column]] = f"{note}, until its first sample at t = {self.first[column]:g} s"
+        return notes
 
 
 def next_rows(completion: Completion, rows: np.ndarray) -> None:
@@ -52,28 +73,33 @@ def next_rows(completion: Completion, rows: np.ndarray) -> None:
         As of `Signals.rows`; changed in place.
     """
     vehicle = completion.vehicle
-    lacking = _before_first(completion, rows, _STEER)
-    if lacking:
-        rows[:lacking, _STEER] = rows[:lacking, _STEER_WHEEL] / vehicle.steering_ratio
-    lacking = _before_first(completion, rows, _VX)
-    if lacking:
-        _wheels_to_speed(rows[:lacking], vehicle.track_front, vehicle.track_rear, rows[:lacking, _VX])
-    lacking = _before_first(completion, rows, _AX)
-    if lacking:
-        t = rows[:lacking, COLUMN["t"]]
-        completion.line = completion.line or Line(float(t[0]))
-        rows[:lacking, _AX] = next_slopes(completion.line, t, rows[:lacking, _VX], SPEED_SLOPE_WINDOW)
+    for column in _MADE:
+        lacking = _before_first(completion, rows, column)
+        if not lacking:
+            continue
+        part, out = rows[:lacking], rows[:lacking, column]
+        if column == _STEER:
+            out[:] = part[:, _STEER_WHEEL] / vehicle.steering_ratio
+        elif column == _VX:
+            _wheels_to_speed(part, vehicle.track_front, vehicle.track_rear, out)
+        else:
+            t = part[:, _T]
+            completion.line = completion.line or Line(float(t[0]))
+            out[:] = next_slopes(completion.line, t, part[:, _VX], SPEED_SLOPE_WINDOW)
+        if np.isfinite(out).any():
+            completion.made.add(column)
 
 
 def _before_first(completion: Completion, rows: np.ndarray, column: int) -> int:
     """Number of rows before the column's first sample in the log."""
-    if column in completion.seen:
+    if column in completion.first:
         return 0
     known = np.isfinite(rows[:, column])
     if not known.any():
         return len(rows)
-    completion.seen.add(column)
-    return int(np.argmax(known))
+    first = int(np.argmax(known))
+    completion.first[column] = float(rows[first, _T])
+    return first
 
 
 def complete(signals: Signals, vehicle: Vehicle) -> Signals:
@@ -94,21 +120,10 @@ def complete(signals: Signals, vehicle: Vehicle) -> Signals:
     Signals
         The log with steer [rad], vx [m/s] and ax [m/s^2].
     """
-    rows = signals.rows()
-    next_rows(Completion(vehicle), rows)
-    texts = {
-        "steer": f"steer made from steer_wheel and the steering ratio {vehicle.steering_ratio:g}",
-        "vx": "vx made from the wheel speeds, yaw rate and steering angle",
-        "ax": f"ax is missing: the slope of vx over the last {SPEED_SLOPE_WINDOW:g} s is taken instead",
-    }
-    for name, note in texts.items():
-        made = rows[:, COLUMN[name]]
-        measured = np.isfinite(signals.column(name))
-        if not measured.any():
-            signals = signals.with_columns(note, **{name: made.copy()})
-        elif np.any(np.isfinite(made) & ~measured):
-            until = f"{note}, until its first sample at t = {signals.t[np.argmax(measured)]:g} s"
-            signals = signals.with_columns(until, **{name: made.copy()})
+    rows, completion = signals.rows(), Completion(vehicle)
+    next_rows(completion, rows)
+    for name, note in completion.notes().items():
+        signals = signals.with_columns(note, **{name: rows[:, COLUMN[name]].copy()})
     return signals
 
 
@@ -146,14 +161,16 @@ def _wheels_to_speed(rows, track_front, track_rear, out):
         out[k] = total / count if count > 0 else math.nan
 
 
-def causal_slope(t: np.ndarray, values: np.ndarray, window: float) -> np.ndarray:
-    """Slope of the least-squares line through the newest samples at each row.
+def next_slopes(line: Line, t: np.ndarray, values: np.ndarray, window: float) -> np.ndarray:
+    """Slope of the least-squares line through the newest samples at each of the next rows of a log.
 
     The line goes through the samples of the last `window` seconds and through at least the last three, none
     of them older than five windows. It describes the middle of its samples, about half a window ago.
 
     Parameters
     ----------
+    line : Line
+        What the rows before leave behind; changed in place.
     t : ndarray
         Increasing time ``(n,) [s]``, any spacing.
     values : ndarray
@@ -166,11 +183,6 @@ def causal_slope(t: np.ndarray, values: np.ndarray, window: float) -> np.ndarray
     ndarray
         ``(n,)`` [unit of values per s]; NaN where the value is missing or fewer than three samples are near.
     """
-    return next_slopes(Line(float(t[0])), t, values, window)
-
-
-def next_slopes(line: Line, t: np.ndarray, values: np.ndarray, window: float) -> np.ndarray:
-    """Slopes of `causal_slope` at the next rows of a log; `line` keeps what later rows need."""
     known = np.isfinite(values)
     slope = np.full(len(values), np.nan)
     if not known.any():

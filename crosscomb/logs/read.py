@@ -1,21 +1,20 @@
-"""From a file to signals: any format of the table, with or without a channel map."""
+"""From a file to signals: any format of the table, with or without a channel map, piece by piece or whole."""
 
 from __future__ import annotations
 
-import gzip
 import re
-import zlib
-from collections.abc import Callable
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from crosscomb.errors import UsageError
-from crosscomb.files import read_bytes
-from crosscomb.logs.channel_map import FACTORS, ChannelMap, Reader, apply_map, unit_name
-from crosscomb.logs.formats.table import Columns, find_format, log_name
-from crosscomb.signals import UNITS, Signals, make_signals
+import pandas as pd
 
-GZIP = b"\x1f\x8b"
-"""How packed content begins."""
+from crosscomb.errors import UsageError
+from crosscomb.logs.channel_map import FACTORS, ChannelMap, MapIntake, unit_name
+from crosscomb.logs.content import open_content
+from crosscomb.logs.formats.table import HEAD, Columns, find_format, log_name
+from crosscomb.signals import UNITS, Intake, Signals
 
 
 def read_log(path: str | Path, channel_map: ChannelMap | None = None) -> Signals:
@@ -38,59 +37,87 @@ def read_log(path: str | Path, channel_map: ChannelMap | None = None) -> Signals
     UsageError
         The file cannot be read as a log; the message names the row or column and the mend.
     """
+    log = open_log(path, channel_map)
+    chunks = list(log.chunks())
+    frames = [chunk.frame for chunk in chunks]
+    frame = frames[0] if len(frames) == 1 else pd.concat(frames, ignore_index=True)
+    return replace(chunks[0], frame=frame, notes=tuple(log.notes))
+
+
+@dataclass
+class LogFile:
+    """A log on the disk, read in chunks as often as wanted; what is in it is checked each time.
+
+    Attributes
+    ----------
+    path : Path
+    name : str
+        File name without its ending.
+    notes : list of str
+        As of `Signals`, once all chunks were read.
+    """
+
+    path: Path
+    name: str
+    channel_map: ChannelMap | None
+    columns: Columns
+    names: list[str]  # of the columns, without SI units
+    doubt: str  # of what the file's name says
+    notes: list[str] = field(default_factory=list)
+
+    def chunks(self) -> Iterator[Signals]:
+        """The log in pieces that fit any memory, at least one.
+
+        Raises
+        ------
+        UsageError
+            As in `read_log`.
+        """
+        source, signs = str(self.path), self.channel_map or ChannelMap()
+        with _doubting(self.doubt):
+            wanted = signs.columns(self.names, source)
+            for column in wanted:
+                if self.names.count(column) > 1:
+                    raise UsageError(
+                        f"{source}: {self.columns.place}: column {column} is there twice: rename or delete one of them"
+                    )
+            intake = Intake(self.name, source, [name for name in self.names if name and name not in wanted])
+            taking = intake if self.channel_map is None else MapIntake(self.channel_map, intake)
+            for frame in self.columns.read({column: self.names.index(column) for column in wanted}):
+                signals = taking.take(frame)
+                if len(signals):
+                    yield signals
+            self.notes = [*taking.finish(), *([self.doubt] if self.doubt else [])]
+
+
+def open_log(path: str | Path, channel_map: ChannelMap | None = None) -> LogFile:
+    """Find the columns of a log; `LogFile.chunks` reads it. Arguments and errors are those of `read_log`."""
     path, source = Path(path), str(path)
-    data = read_bytes(path)
+    content = open_content(path)
     name, doubts = log_name(path), []
     packed = path.suffix.lower() == ".gz"
-    if data.startswith(GZIP):
-        data = _unpack(data, source)
-        doubts += [] if packed else ["gzip, a binary file"]
-    elif packed:
-        doubts.append("damaged or not gzip")
-    kind = find_format(path, data)
+    if content.packed != packed:
+        doubts.append("gzip, a binary file" if content.packed else "damaged or not gzip")
+    head = content.head(HEAD)
+    kind = find_format(path, head)
     if not path.name.lower().endswith(kind.endings):
         doubts.append(kind.name)
-    note = f"not what its name says: it is {' and '.join(doubts)}" if doubts else ""
+    doubt = f"not what its name says: it is {' and '.join(doubts)}" if doubts else ""
+    with _doubting(doubt):
+        columns = kind.reader.open_log(content, source, (channel_map or ChannelMap()).reader)
+        names = columns.names
+        if channel_map is None:
+            names = [_without_si_unit(column, names, source) for column in names]
+    return LogFile(path, name, channel_map, columns, names, doubt)
+
+
+@contextmanager
+def _doubting(doubt: str) -> Iterator[None]:
+    """Say in errors that a file is not what its name says."""
     try:
-        signals = _to_signals(kind.reader.open_log, data, name, source, channel_map)
+        yield
     except UsageError as error:
-        raise UsageError(f"{error} ({note})" if note else str(error)) from None
-    return signals.with_columns(note) if note else signals
-
-
-def _to_signals(
-    open_log: Callable[[bytes, str, Reader], Columns],
-    data: bytes,
-    name: str,
-    source: str,
-    channel_map: ChannelMap | None,
-) -> Signals:
-    """Read those columns of a log that are ours, or that the channel map makes ours."""
-    signs = channel_map or ChannelMap()
-    columns = open_log(data, source, signs.reader)
-    names = columns.names
-    if channel_map is None:
-        names = [_without_si_unit(column, names, source) for column in names]
-    wanted = signs.columns(names, source)
-    for column in wanted:
-        if names.count(column) > 1:
-            raise UsageError(
-                f"{source}: {columns.place}: column {column} is there twice: rename or delete one of them"
-            )
-    frame = columns.read({column: names.index(column) for column in wanted})
-    others = [column for column in names if column and column not in wanted]
-    if channel_map is None:
-        return make_signals(frame, name, source, others)
-    return apply_map(frame, channel_map, name, source, others)
-
-
-def _unpack(data: bytes, source: str) -> bytes:
-    try:
-        return gzip.decompress(data)
-    except (EOFError, zlib.error, gzip.BadGzipFile):
-        raise UsageError(
-            f"{source}: is damaged or not gzip: copy it anew, or unpack it and give what is inside"
-        ) from None
+        raise UsageError(f"{error} ({doubt})" if doubt else str(error)) from None
 
 
 def _without_si_unit(name: str, names: list[str], source: str) -> str:

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pandas as pd
 
 from crosscomb.logs.grid import MAX_GAP
-from crosscomb.logs.prepare import complete
+from crosscomb.logs.prepare import Completion, next_rows
 from crosscomb.models.vehicle import Vehicle
 from crosscomb.run.answers import Plan, Stream, advance, make_plan
 from crosscomb.run.handling import STATES, Handling
@@ -17,7 +17,7 @@ from crosscomb.run.motion import Motion, PointVelocity, velocity_at
 from crosscomb.run.status import TEXTS
 from crosscomb.run.tuned import Tuned
 from crosscomb.selection.artefact import Artefact
-from crosscomb.signals import MIN_SPEED, Signals
+from crosscomb.signals import COLUMN, MIN_SPEED, Signals
 
 
 @dataclass(frozen=True)
@@ -77,10 +77,31 @@ class LogEstimate:
 
     def handling_shares(self) -> dict[str, float]:
         """Share of the time above `MIN_SPEED` in each state of handling; all 0 where the car never was that fast."""
-        steps = np.minimum(np.diff(self.signals.t, append=self.signals.t[-1]), MAX_GAP)
-        steps[self.motion.vx <= MIN_SPEED] = 0.0
-        total = max(float(steps.sum()), 1e-9)
-        return {state: float(steps[self.handling.state == state].sum()) / total for state in STATES}
+        shares = Shares()
+        shares.take(self)
+        return shares.of_time()
+
+
+@dataclass
+class Shares:
+    """Time above `MIN_SPEED` in each state of handling, gathered piece by piece."""
+
+    times: np.ndarray = field(default_factory=lambda: np.zeros(len(STATES)))  # [s]
+    newest: tuple[float, str] | None = None  # t [s] and state of the newest row, where it was fast enough
+
+    def take(self, estimate: LogEstimate) -> None:
+        """Take the next rows: a state lasts until the next row, but not across a gap."""
+        t, state, fast = estimate.signals.t, estimate.handling.state, estimate.motion.vx > MIN_SPEED
+        steps = np.minimum(np.diff(t, append=t[-1]), MAX_GAP)
+        steps[~fast] = 0.0
+        self.times += [float(steps[state == each].sum()) for each in STATES]
+        if self.newest:
+            self.times[STATES.index(self.newest[1])] += min(float(t[0]) - self.newest[0], MAX_GAP)
+        self.newest = (float(t[-1]), state[-1]) if fast[-1] else None
+
+    def of_time(self) -> dict[str, float]:
+        """Share of each state; all 0 where the car never was fast enough."""
+        return dict(zip(STATES, (self.times / max(self.times.sum(), 1e-9)).tolist(), strict=True))
 
 
 def estimate_log(
@@ -115,13 +136,45 @@ def estimate_log(
     UsageError
         Extras are wanted, and none of the estimators tells more than beta.
     """
-    signals = complete(signals, vehicle)
+    run = start_run(vehicle, artefact, filters, tuned, extras)
+    result = next_estimate(run, signals)
+    return replace(result, signals=replace(result.signals, notes=(*signals.notes, *run.notes())))
+
+
+@dataclass
+class Run:
+    """A log on its way to estimates, in pieces of any length with the same result bit for bit."""
+
+    stream: Stream
+    completion: Completion
+
+    def notes(self) -> list[str]:
+        """What was done to the rows so far, in words for the user."""
+        notes, plan = [*self.completion.notes().values()], self.stream.plan
+        if not plan.switched:
+            needed = ", ".join(plan.artefact.filter_names)
+            notes.append(f"{plan.names[0]} is the answer: the selector needs all of {needed}")
+        return notes
+
+
+def start_run(
+    vehicle: Vehicle,
+    artefact: Artefact,
+    filters: Sequence[str] | None = None,
+    tuned: Tuned | None = None,
+    extras: bool = False,
+) -> Run:
+    """Make the state before the first row of a log; arguments and errors are those of `estimate_log`."""
     plan = make_plan(vehicle, artefact, filters, tuned, extras)
-    if not plan.switched:
-        needed = ", ".join(artefact.filter_names)
-        note = f"{plan.names[0]} is the answer: the selector needs all of {needed}"
-        signals = replace(signals, notes=(*signals.notes, note))
-    return to_estimate(plan, signals, advance(Stream(plan), signals.rows()))
+    return Run(Stream(plan), Completion(vehicle))
+
+
+def next_estimate(run: Run, signals: Signals) -> LogEstimate:
+    """Answers at the next rows of a log, at least one, in order of time."""
+    rows = signals.rows()
+    next_rows(run.completion, rows)
+    made = {name: rows[:, COLUMN[name]].copy() for name in ("steer", "vx", "ax")}
+    return to_estimate(run.stream.plan, signals.with_columns("", **made), advance(run.stream, rows))
 
 
 def to_estimate(plan: Plan, signals: Signals, answers: np.ndarray) -> LogEstimate:

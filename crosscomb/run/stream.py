@@ -11,10 +11,10 @@ import numpy as np
 import pandas as pd
 
 from crosscomb.errors import UsageError
-from crosscomb.logs.prepare import Completion, next_rows
+from crosscomb.logs.prepare import next_rows
 from crosscomb.models.vehicle import Vehicle
-from crosscomb.run.answers import Stream, advance, make_plan
-from crosscomb.run.estimate import LogEstimate, to_estimate
+from crosscomb.run.answers import advance
+from crosscomb.run.estimate import LogEstimate, next_estimate, start_run
 from crosscomb.run.handling import STATES, Handling
 from crosscomb.run.motion import Motion, PointVelocity, point_velocity
 from crosscomb.run.status import TEXTS
@@ -97,8 +97,7 @@ class StreamingEstimator:
 
     def reset(self) -> None:
         """Forget everything that came so far: the next sample is the first one of a new log."""
-        self._stream = Stream(make_plan(self.vehicle, self.artefact, self.filters, self.tuned))
-        self._completion = Completion(self.vehicle)
+        self._run = start_run(self.vehicle, self.artefact, self.filters, self.tuned)
 
     def step(self, sample: Mapping[str, float] | pd.Series) -> StreamEstimate:
         """Take one sample.
@@ -109,8 +108,10 @@ class StreamingEstimator:
             An unknown column, a value that is no number, t missing or not later than the one before.
         """
         row = sample_row(sample)
-        answers = self._take(row[None, :])
-        plan = self._stream.plan
+        rows, plan = row[None, :], self._run.stream.plan
+        _require_later(rows[:, _T], self._run.stream.t)
+        next_rows(self._run.completion, rows)
+        answers = advance(self._run.stream, rows)
         told = dict(zip(plan.record.names or (), answers[0].tolist(), strict=True))
         beta, beta_std, motion = (
             told["beta"],
@@ -152,22 +153,16 @@ class StreamingEstimator:
             signals = Signals("chunk", frame.replace([np.inf, -np.inf], np.nan))
         if not len(signals):
             raise UsageError("chunk: has no rows: pass at least one")
-        rows = signals.rows()
-        answers = self._take(rows)
-        made = {name: rows[:, COLUMN[name]].copy() for name in ("steer", "vx", "ax")}
-        return to_estimate(self._stream.plan, signals.with_columns("", **made), answers)
-
-    def _take(self, rows: np.ndarray) -> np.ndarray:
-        """Check and complete rows in place, and take them."""
-        steps = np.diff(rows[:, _T], prepend=self._stream.t)
-        wrong = np.flatnonzero(~(steps > 0.0))
-        if wrong.size:
-            _refuse_time(rows[:, _T], int(wrong[0]), self._stream.t)
-        next_rows(self._completion, rows)
-        return advance(self._stream, rows)
+        _require_later(signals.t, self._run.stream.t)
+        return next_estimate(self._run, signals)
 
 
-def _refuse_time(t: np.ndarray, row: int, newest: float) -> None:
+def _require_later(t: np.ndarray, newest: float) -> None:
+    """Refuse times ``(n,) [s]`` that do not increase from the `newest` one on."""
+    wrong = np.flatnonzero(~(np.diff(t, prepend=newest) > 0.0))
+    if not wrong.size:
+        return
+    row = int(wrong[0])
     before = float(t[row - 1]) if row else newest
     if not math.isfinite(t[row]):
         raise UsageError("sample, column t: no time there: give t [s] with every sample")

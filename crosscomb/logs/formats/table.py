@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from crosscomb.logs.channel_map import Reader
+    from crosscomb.logs.content import Content
 
 
 @dataclass(frozen=True)
@@ -27,13 +28,14 @@ class Columns:
     place : str
         Where the names stand, for messages, such as ``row 1``.
     read : callable
-        From a dict, the wanted columns by our name with their place in `names`, to a float64 DataFrame of them
-        whose index called ``row`` holds the row numbers in the file; NaN means "no measurement".
+        From a dict, the wanted columns by our name with their place in `names`, to float64 DataFrames of them, piece
+        by piece and at least one, whose index called ``row`` holds the row numbers in the file; NaN means "no
+        measurement".
     """
 
     names: list[str]
     place: str
-    read: Callable[[dict[str, int]], pd.DataFrame]
+    read: Callable[[dict[str, int]], Iterable[pd.DataFrame]]
 
 
 class FormatReader(Protocol):
@@ -42,8 +44,8 @@ class FormatReader(Protocol):
     def recognises(self, data: bytes) -> bool:
         """Tell from the first bytes of a file, unpacked, whether it is of this format."""
 
-    def open_log(self, data: bytes, source: str, reader: Reader) -> Columns:
-        """Find the columns in the content of a file, unpacked; `source` names it in messages."""
+    def open_log(self, content: Content, source: str, reader: Reader) -> Columns:
+        """Find the columns in a file; `source` names it in messages."""
 
 
 @dataclass(frozen=True)
@@ -99,9 +101,9 @@ def log_name(path: str | Path) -> str:
     return Path(path).name[: -len(end)]
 
 
-def find_format(path: str | Path, data: bytes) -> Format:
-    """Format of a log by its name, or by its content (unpacked) where another one recognises that."""
+def find_format(path: str | Path, head: bytes) -> Format:
+    """Format of a log by its name, or by the `HEAD` of its content where another one recognises that."""
     named = next(entry for entry in FORMATS if ending(path) in entry.endings)
-    if named.reader.recognises(data[:HEAD]):
+    if named.reader.recognises(head):
         return named
-    return next((entry for entry in FORMATS if entry.reader.recognises(data[:HEAD])), named)
+    return next((entry for entry in FORMATS if entry.reader.recognises(head)), named)
