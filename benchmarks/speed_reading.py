@@ -3,10 +3,11 @@
     python benchmarks/speed_reading.py --old OLD_COMMAND [--new crosscomb] [--only minute hour wide]
 
 `OLD_COMMAND` starts the command line of another commit, such as one installed into a folder of its own. The two
-run one after the other, in turn, so that both see the same machine: only the ratios mean anything on a machine that does
-other work. The logs are simulated and put together end to end: a minute (best of several), an hour at 100 Hz without and
-with a picture, and a wide one of 500 MB, most of whose columns nobody maps; at last the growth of the new version over 1,
-10 and 100 minutes. `--filters kinematic_kf,dynamic_ekf` leaves out the particle filter, which is most of the time.
+run one after the other, in turn, so that both see the same machine: only the ratios mean anything on a machine that
+does other work. The logs are simulated and put together end to end: a minute (median of several), an hour at 100 Hz
+without and with a picture, and a wide one of 500 MB, most of whose columns nobody maps; at last the growth of the new
+version over 1, 10 and 100 minutes. `--filters kinematic_kf,dynamic_ekf` leaves out the particle filter, which is most
+of the time; `--only wider` is a log of 2 GB, which the old version need not read.
 """
 
 # Nothing heavy is imported here: a child's peak of memory would start at that of this process.
@@ -85,6 +86,18 @@ def median(runs: list[Run]) -> Run:
     return Run(*times, max(each.memory for each in runs))
 
 
+HEADER = f"{'work':<16}{'s':>8}{'at most':>9}{'MB':>6}{'at most':>9}{'old s':>9}{'old MB':>8}{'ratio':>8}{'of CPU':>8}"
+
+
+def line_of(work: str, new: Run, old: Run | None = None) -> str:
+    """A line of the table: times of both and their ratio."""
+    times, memory = BARS[work]
+    line = f"{work:<16}{new.seconds:>8.2f}{times or '':>9}{new.memory:>6.0f}{memory or '':>9}"
+    if old is None:
+        return line
+    return f"{line}{old.seconds:>9.2f}{old.memory:>8.0f}{new.seconds / old.seconds:>8.2f}{new.cpu / old.cpu:>8.2f}"
+
+
 def main() -> None:
     """Print times, ratios and memory against their bars."""
     parser = argparse.ArgumentParser(
@@ -121,25 +134,14 @@ def main() -> None:
             "wide": ["wide"],
             "wider": ["wider"],
         }
-        print(
-            f"{'work':<16}{'old s':>9}{'new s':>9}{'ratio':>8}{'CPU':>7}{'at most':>9}{'old MB':>8}{'MB':>6}{'at most':>9}"
-        )
+        print(HEADER)
         for work in (work for name in asked.only for work in works.get(name, [])):
             log, words = work.partition(",")[0], ["--plot"] if "picture" in work else []
             repeats = asked.repeats if work == "minute" else 1
             if work == "minute":  # fills the caches of files and kernels
                 [estimate(command, log) for command in commands]
             turns = [[estimate(command, log, *words) for command in commands] for _ in range(repeats)]
-            new, *old = [median(list(runs)) for runs in zip(*turns, strict=True)]
-            times, memory = BARS[work]
-            print(f"{work:<16}{old[0].seconds if old else float('nan'):>9.2f}{new.seconds:>9.2f}", end="")
-            print(
-                f"{new.seconds / old[0].seconds:>8.2f}{new.cpu / old[0].cpu:>7.2f}" if old else f"{'':>15}",
-                end="",
-            )
-            print(
-                f"{times or '':>9}{old[0].memory if old else float('nan'):>8.0f}{new.memory:>6.0f}{memory or '':>9}"
-            )
+            print(line_of(work, *(median(list(runs)) for runs in zip(*turns, strict=True))), flush=True)
         if "growth" in asked.only:
             print(f"\n{'minutes':<10}{'s':>8}{'CPU s':>8}{'MB':>6}")
             for minutes, log in ((1, "minute"), (10, "ten"), (100, "hundred")):

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -16,7 +14,7 @@ from crosscomb.run.motion import Motion
 MOST = 12_000
 """Rows that are drawn: nine for each point across a picture."""
 
-_SIGNALS = ("t", "vx", "ay", "yaw_rate", "beta_ref")
+Columns = dict[tuple[str, str], np.ndarray]
 
 
 @dataclass
@@ -31,8 +29,9 @@ class Outline:
     """
 
     rows: int
-    parts: list[LogEstimate] = field(default_factory=list)
-    rest: LogEstimate | None = None  # rows that do not yet fill one group
+    parts: list[Columns] = field(default_factory=list)
+    rest: Columns = field(default_factory=dict)  # rows that do not yet fill one group
+    like: LogEstimate | None = None  # the newest piece
 
     @property
     def group(self) -> int:
@@ -41,15 +40,40 @@ class Outline:
 
     def take(self, estimate: LogEstimate) -> None:
         """Take the next rows."""
-        if self.rest is not None:
-            estimate = _mapped(lambda *parts: np.concatenate(parts), self.rest, estimate)
-        whole = len(estimate.beta) // self.group * self.group
-        self.parts.append(_mapped(lambda column: _bounds(column[:whole], self.group), estimate))
-        self.rest = _mapped(lambda column: column[whole:].copy(), estimate)
+        columns = _columns(estimate)
+        if self.rest:
+            columns = {key: np.concatenate([self.rest[key], column]) for key, column in columns.items()}
+        whole = len(columns["", "beta"]) // self.group * self.group
+        self.parts.append({key: _bounds(column[:whole], self.group) for key, column in columns.items()})
+        self.rest = {key: column[whole:].copy() for key, column in columns.items()}
+        self.like = estimate
 
     def estimate(self) -> LogEstimate:
-        """What is to be drawn of the rows so far."""
-        return _mapped(lambda *parts: np.concatenate(parts), *self.parts, self.rest)
+        """What is to be drawn of the rows so far, at least one."""
+        assert self.like is not None
+        columns = {key: np.concatenate([part[key] for part in (*self.parts, self.rest)]) for key in self.rest}
+
+        def told(kind: str) -> dict[str, np.ndarray]:
+            return {name: column for (of, name), column in columns.items() if of == kind}
+
+        signals = replace(self.like.signals, frame=pd.DataFrame(told("signals")))
+        rest = {"filters": told("filters"), "extras": told("extras")}
+        motion, handling = Motion(**told("motion")), Handling(**told("handling"))
+        return LogEstimate(signals, motion=motion, handling=handling, **rest, **told(""))
+
+
+def _columns(estimate: LogEstimate) -> Columns:
+    """All columns of an estimate that pictures show, by where they stand in it."""
+    signals = {name: estimate.signals.column(name) for name in ("t", "vx", "ay", "yaw_rate")}
+    tables = {
+        "": {name: getattr(estimate, name) for name in ("beta", "beta_std", "active", "status")},
+        "signals": signals | {"beta_ref": estimate.signals.beta_ref},
+        "filters": estimate.filters,
+        "motion": estimate.motion._asdict(),
+        "handling": estimate.handling._asdict(),
+        "extras": estimate.extras,
+    }
+    return {(kind, name): column for kind, table in tables.items() for name, column in table.items()}
 
 
 def _bounds(column: np.ndarray, group: int) -> np.ndarray:
@@ -62,28 +86,3 @@ def _bounds(column: np.ndarray, group: int) -> np.ndarray:
     else:
         both = groups[:, 0], groups[:, -1]
     return np.stack(both, axis=1).ravel()
-
-
-def _mapped(function: Callable[..., np.ndarray], *estimates: LogEstimate) -> LogEstimate:
-    """An estimate of columns that are made of the columns of others."""
-    first = estimates[0]
-
-    def of(column: Callable[[LogEstimate], Any]) -> np.ndarray:
-        return function(*map(column, estimates))
-
-    signals = {name: of(lambda one, name=name: _signal(one, name)) for name in _SIGNALS}
-    return LogEstimate(
-        replace(first.signals, frame=pd.DataFrame(signals)),
-        of(lambda one: one.beta),
-        of(lambda one: one.beta_std),
-        of(lambda one: one.active),
-        of(lambda one: one.status),
-        {name: of(lambda one, name=name: one.filters[name]) for name in first.filters},
-        Motion(*(of(lambda one, name=name: getattr(one.motion, name)) for name in Motion._fields)),
-        Handling(*(of(lambda one, name=name: getattr(one.handling, name)) for name in Handling._fields)),
-        {name: of(lambda one, name=name: one.extras[name]) for name in first.extras},
-    )
-
-
-def _signal(estimate: LogEstimate, name: str) -> np.ndarray:
-    return estimate.signals.beta_ref if name == "beta_ref" else estimate.signals.column(name)
