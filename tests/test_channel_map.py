@@ -120,6 +120,19 @@ def test_channels_are_held_back_to_the_latest_one() -> None:
     assert "0.04 s before" in log.notes[-1]
 
 
+@pytest.mark.parametrize("start", [0.0, 1_700_000_000.0], ids=["from zero", "Unix time"])
+def test_a_delayed_channel_crosses_no_silence(start: float) -> None:
+    """A step of 0.1 s is bridged, a longer one is not; a late value on a row is that row's, whatever is beside it."""
+    t = np.cumsum([0.0] + [0.01] * 19 + [0.1] + [0.01] * 19 + [0.11] + [0.01] * 19)
+    vx = 20.0 + 10.0 * t
+    vx[[5, 7]] = np.nan
+    channel_map = ChannelMap(channels={"yaw_rate": Channel(delay=0.03)})
+    held = apply_map(table(60, t=start + t, vx=vx), channel_map, "x").column("vx")
+    expected = 20.0 + 10.0 * (t - 0.03)
+    expected[[0, 1, 2, 8, 10, 40, 41, 42]] = np.nan  # before the log, the missing ones, and in the silence
+    np.testing.assert_allclose(held, expected, rtol=0.0, atol=1e-5)
+
+
 def test_alignment_and_lever_arm_look_at_no_later_row_and_bridge_no_gap() -> None:
     rng = np.random.default_rng(3)
     t = np.cumsum(rng.uniform(0.005, 0.03, 300))

@@ -13,11 +13,12 @@ import pytest
 
 from crosscomb.errors import UsageError
 from crosscomb.files import write_file
+from crosscomb.filters import columns as at
 from crosscomb.logs.intake import choose_vehicle, open_logs
 from crosscomb.models.vehicle import Vehicle, load_vehicle
 from crosscomb.report.estimates import writing_table
 from crosscomb.run.estimate import LogEstimate, estimate_log
-from crosscomb.run.status import DEGRADED, INVALID, LOW_SPEED, TEXTS
+from crosscomb.run.status import DEGRADED, INVALID, LOW_SPEED, TEXTS, start_ages, status_codes
 from crosscomb.selection.artefact import Artefact, load_artefact, save_artefact
 from crosscomb.signals import Signals, make_signals
 from crosscomb.training.simulation.simulate import simulate_log
@@ -313,6 +314,36 @@ def test_status_says_extrapolating_outside_the_training(lively, car, artefact):
     words = words_of(estimate_log(make_signals(frame, "log"), car, artefact))
     assert all("extrapolating" in words[k] for k in range(500, 521))
     assert not any("extrapolating" in words[k] for k in range(500))
+
+
+@pytest.mark.parametrize(
+    ("vx", "word"),
+    [
+        (-0.31, "reverse"),
+        (-0.3, "low_speed"),
+        (-0.05, "low_speed"),  # a speed sensor at rest
+        (0.0, "low_speed"),
+        (3.0, "low_speed"),
+        (3.01, "extrapolating"),
+    ],
+)
+def test_outside_the_training_the_speed_gives_the_word(vx, word):
+    """Up to walking speed the estimate does not come from what was trained, so nothing is extrapolated."""
+    samples = np.zeros((1, at.SAMPLE_WIDTH))
+    samples[0, at.VX] = vx
+    codes = status_codes(start_ages(), samples, np.full(1, True), 0.01)
+    assert TEXTS[codes].tolist() == [word]
+
+
+def test_extrapolating_is_said_once_the_correction_lost_half_its_weight(lively, car):
+    """It fades with its time constant: half of it is left after 0.69 of that."""
+    hybrid = load_artefact("hybrid")
+    assert hybrid.correction is not None
+    frame = lively.frame.copy()
+    frame.loc[500:, "ay"] = 60.0
+    words = words_of(estimate_log(make_signals(frame, "log"), car, hybrid))
+    said = next(k for k in range(500, len(words)) if "extrapolating" in words[k])
+    assert said - 500 == pytest.approx(hybrid.correction.fade * np.log(2.0) * hybrid.rate, abs=2.0)
 
 
 def test_words_are_joined_in_one_order():

@@ -124,6 +124,14 @@ def test_where_doubt_about_beta_turns_it_over_nothing_is_said():
     assert set(drive(0.01, 0.06, vx=4.0, yaw_rate=0.8, beta_std=0.02).state[20:]) <= {OVERSTEER, COUNTERSTEER}
 
 
+@pytest.mark.parametrize("side", [1.0, -1.0], ids=["left", "right"])
+@pytest.mark.parametrize("beta_std", [0.5, np.pi], ids=["0.5 rad", "half a turn"])
+def test_doubt_counts_to_both_sides_and_however_large_it_is(side, beta_std):
+    """The tangent of beta comes back after half a turn, what is known of beta does not."""
+    handling = drive(side * 0.01, side * 0.06, vx=4.0, yaw_rate=side * 0.8, beta_std=beta_std)
+    assert set(handling.state) == {UNKNOWN}
+
+
 def test_the_side_of_the_turn_is_that_of_ay_and_fades_near_zero():
     assert set(drive(0.10, 0.05, ay=4.0).state[20:]) == {UNDERSTEER}
     assert set(drive(0.10, 0.05, ay=-4.0).state[20:]) == {OVERSTEER}
