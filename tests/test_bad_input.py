@@ -191,6 +191,14 @@ def test_the_log_was_good_before(crosscomb, place, tmp_path):
     assert (ran.code, ran.err) == (0, "")
 
 
+@pytest.mark.filterwarnings("error::RuntimeWarning")
+@pytest.mark.parametrize("channel", ["vx", "ay", "yaw_rate", "steer"])
+def test_one_absurd_value_is_no_reason_to_refuse_and_none_to_warn(crosscomb, place, tmp_path, channel):
+    nth(place, 300, channel, 1e300)
+    for ran in (crosscomb("check", place.log), crosscomb("estimate", place.log, "-o", tmp_path / "out")):
+        assert (ran.code, ran.err) == (0, "")
+
+
 @pytest.mark.parametrize("fault", VEHICLES)
 def test_a_bad_vehicle_file_is_refused(crosscomb, place, tmp_path, fault):
     spoil, words = VEHICLES[fault]

@@ -106,6 +106,15 @@ def test_a_fault_is_named_with_its_mend_and_nothing_else_is(
         assert "\n" not in finding.message
 
 
+@pytest.mark.parametrize("channel", ["vx", "ax", "ay", "yaw_rate", "steer", "steer_wheel"])
+@pytest.mark.parametrize("value", [1e30, 1e300])
+def test_a_channel_that_is_absurd_throughout_is_an_error(
+    drive: Signals, vehicle: Vehicle, channel: str, value: float
+) -> None:
+    found = errors(replace(drive, frame=drive.frame.assign(**{channel: value})), vehicle)
+    assert channel in {finding.column for finding in found}
+
+
 def test_good_drive_raises_nothing_with_any_car_like_it(drive: Signals, vehicle: Vehicle) -> None:
     for car in (vehicle, load_vehicle("volvo_s90"), load_vehicle("ferrari_250lm")):
         assert check_units(drive, car) == []

@@ -22,7 +22,10 @@ RATE = 20.0
 """Channels are compared at this rate [Hz], after a moving average over `SMOOTHING` samples."""
 SMOOTHING = 9
 
-LIMITS = {"vx": 120.0, "vx_ref": 120.0, "yaw_rate": 10.0, "steer": 1.5, "steer_wheel": 35.0}
+LIMITS = {
+    **{"vx": 120.0, "vx_ref": 120.0, "yaw_rate": 10.0, "steer": 1.5, "steer_wheel": 35.0},
+    **{"ax": 100.0, "ay": 100.0},
+}
 """In SI units no car is beyond these for more than 2 % of a log."""
 BETA_LIMIT = 3.2
 """Even in a spin [rad]."""
@@ -30,6 +33,7 @@ BETA_LIMIT = 3.2
 FRICTION_SLACK = 1.1
 """Lateral acceleration may be this much above what the vehicle file's friction allows before that is said."""
 
+_FAR = 1e30  # larger values count as this: products of four and their sums stay finite, and what is absurd stays so
 _DEGREE = np.pi / 180.0
 _WIDE = (0.15, 6.0)  # for ties that are too loose to judge more than degrees and sign
 
@@ -159,7 +163,7 @@ def _smoothed(signals: Signals) -> Iterator[np.ndarray]:
 def _moving_average(values: np.ndarray) -> np.ndarray:
     known = np.isfinite(values)
     box = np.ones(SMOOTHING)
-    total = np.convolve(np.where(known, values, 0.0), box, "same")
+    total = np.convolve(np.where(known, np.clip(values, -_FAR, _FAR), 0.0), box, "same")
     count = np.convolve(known, box, "same")
     return np.where(count > SMOOTHING // 2, total / np.maximum(count, 1.0), np.nan)
 

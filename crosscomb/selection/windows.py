@@ -20,6 +20,9 @@ from crosscomb.models.compiled import kernel
 LEAST_YAW_RATE = 0.01
 """Below this yaw rate [rad/s] the slope of ay over yaw rate means nothing and goes to 0."""
 
+FAR = 1e18
+"""Larger samples, which no sensor means, count as this: the features, products of two, stay within float32."""
+
 
 class WindowSettings(Record):
     """How windows are cut.
@@ -143,11 +146,11 @@ def _raw_run(ay, yaw_rate, first, length, out):
 
 @kernel
 def _hold(values, last):
-    """Fill missing samples in place with the last one before them."""
+    """Fill missing samples in place with the last one before them; none is beyond `FAR`."""
     for k in range(values.size):
-        if not math.isfinite(values[k]):
-            values[k] = last
-        last = values[k]
+        if math.isfinite(values[k]):
+            last = min(max(values[k], -FAR), FAR)
+        values[k] = last
 
 
 @dataclass
@@ -191,7 +194,7 @@ def next_windows(past: Past, ay: np.ndarray, yaw_rate: np.ndarray, settings: Win
 
 
 def _joined(past: np.ndarray, new: np.ndarray) -> np.ndarray:
-    """Old and new samples, the missing among the new ones filled."""
+    """Old and new samples, the missing among the new ones filled and the absurd bounded."""
     joined = np.concatenate([past, new])
     _hold(joined[len(past) :], past[-1] if len(past) else 0.0)
     return joined
