@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import sys
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -60,6 +62,7 @@ def estimate(
     ] = False,
 ) -> None:
     """Estimate the sideslip angle of logs; with ground truth in them, also score it."""
+    _spare_scipy()
     from crosscomb.files import refuse_overwriting
     from crosscomb.logs.channel_map import load_map
     from crosscomb.logs.intake import log_names, open_logs
@@ -81,6 +84,17 @@ def estimate(
         terminal.warn(warning)
     sources = Sources(selector_file, channel_map, tuned)
     answer(opened, artefact, output, sources, names, given, extras, point=spot, handling=handling, plot=plot)
+
+
+def _spare_scipy() -> None:
+    """Let numba start without scipy.linalg, a tenth of the time of a short log: no kernel needs a BLAS.
+
+    Only where nobody has loaded either yet, as in a process of ours: numba keeps to what it found.
+    """
+    if "numba" not in sys.modules and "scipy.linalg" not in sys.modules:
+        sys.modules["scipy.linalg"] = None  # type: ignore[assignment]
+        import_module("numba.np.arraymath")
+        del sys.modules["scipy.linalg"]
 
 
 def answer(

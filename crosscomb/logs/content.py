@@ -14,7 +14,7 @@ from crosscomb.files import open_file
 GZIP = b"\x1f\x8b"
 """How packed content begins."""
 
-PIECE = 1 << 22
+PIECE = 1 << 21
 """Bytes of a piece."""
 
 MOST_RATIO = 400

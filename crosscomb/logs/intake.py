@@ -19,6 +19,10 @@ GENERIC = "generic_compact"
 """Shipped vehicle that stands in for an unknown car."""
 
 
+MOST_KEPT = 6_000_000
+"""Numbers of logs that are kept until they are estimated (48 MB: an hour at 100 Hz); what is more is read twice."""
+
+
 @dataclass(frozen=True)
 class OpenedLog:
     """A log that was read and found fit to be estimated.
@@ -32,8 +36,8 @@ class OpenedLog:
     origin : str
         Where the vehicle came from.
     warnings : tuple of str
-    whole : Signals, optional
-        All of the log, where it came in one chunk.
+    kept : list of Signals, optional
+        All of the log, where it is not too long to be kept until it is estimated.
     """
 
     path: Path
@@ -42,11 +46,11 @@ class OpenedLog:
     vehicle: Vehicle
     origin: str
     warnings: tuple[str, ...]
-    whole: Signals | None
+    kept: list[Signals] | None
 
     def chunks(self) -> Iterable[Signals]:
         """The log as read, piece by piece; a long one is read anew."""
-        return [self.whole] if self.whole is not None else self.file.chunks()
+        return self.file.chunks() if self.kept is None else self.kept
 
 
 def open_logs(
@@ -74,9 +78,10 @@ def open_logs(
     UsageError
         A log is broken or plainly in wrong units, or two have one name.
     """
-    opened = []
+    opened: list[OpenedLog] = []
     for path in log_names(paths).values():
-        opened.append(_open_log(path, trained, vehicle, channel_map))
+        room = MOST_KEPT - sum(part.frame.size for log in opened for part in log.kept or ())
+        opened.append(_open_log(path, trained, vehicle, channel_map, room))
         if progress is not None:
             progress()
     return opened
@@ -102,18 +107,24 @@ def log_names(paths: Sequence[Path]) -> dict[str, Path]:
 
 
 def _open_log(
-    path: Path, trained: Vehicle | None, vehicle: str | Path | None, channel_map: ChannelMap | None
+    path: Path,
+    trained: Vehicle | None,
+    vehicle: str | Path | None,
+    channel_map: ChannelMap | None,
+    room: int,
 ) -> OpenedLog:
-    file, look, chunks = open_log(path, channel_map), Look(), 0
+    file, look = open_log(path, channel_map), Look()
+    kept: list[Signals] | None = []
     for chunk in file.chunks():
         look.take(chunk)
-        chunks += 1
+        room -= chunk.frame.size
+        kept = [*kept, chunk] if kept is not None and room >= 0 else None
     car, origin, warning = choose_vehicle(path, vehicle, trained)
     if warning:  # the generic car stands in
         require_road_wheel_angle(str(path), look.has("steer"))
     found = require_plausible(str(path), look.findings(car))
     warnings = (*([warning] if warning else []), *found)
-    return OpenedLog(path, file, look.gaps.rows, car, origin, warnings, chunk if chunks == 1 else None)
+    return OpenedLog(path, file, look.gaps.rows, car, origin, warnings, kept)
 
 
 def choose_vehicle(

@@ -42,7 +42,7 @@ _TABLE = (
     *("vx", "ax", "ay", "yaw_rate", "steer", "steer_wheel", *WHEEL_SPEEDS, "beta_ref", "vx_ref"),
     *("wheels", "speed", "speed_rate", "vy_rate"),
 )
-MOST = 1 << 16
+MOST = 1 << 15
 """So many numbers of each kind are looked at; of a longer log every second, fourth, eighth ... one."""
 
 

@@ -74,39 +74,40 @@ class WindowSettings(Record):
 
 
 @kernel
-def _statistics(values, start, stop, out):
-    """Magnitude of the mean, mean magnitude, standard deviation and largest magnitude of values[start:stop].
+def _statistics(ay, yaw_rate, start, stop, out):
+    """Statistics of both channels [start:stop], and what ties them; all sums in one pass keep the processor busy.
 
-    Magnitudes, so that a turn to the left and its mirror image look the same.
+    Of each channel the magnitude of the mean, mean magnitude, standard deviation and largest magnitude: magnitudes, so
+    that a turn to the left and its mirror image look the same. Of both the mean product, slope of ay over yaw rate, and
+    what the slope leaves over: while vy is steady, ay = vx yaw_rate: the slope is the speed, and what is left over is
+    the rate of vy.
     """
     n = stop - start
-    total, magnitude, largest = 0.0, 0.0, 0.0
+    total, magnitude, largest, own = 0.0, 0.0, 0.0, 0.0
+    other_total, other_magnitude, other_largest, square = 0.0, 0.0, 0.0, 0.0
+    product = 0.0
     for i in range(start, stop):
-        total += values[i]
-        magnitude += abs(values[i])
-        largest = max(largest, abs(values[i]))
-    mean = total / n
-    squares = 0.0
+        value, other = ay[i], yaw_rate[i]
+        total += value
+        magnitude += abs(value)
+        largest = max(largest, abs(value))
+        own += value * value
+        other_total += other
+        other_magnitude += abs(other)
+        other_largest = max(other_largest, abs(other))
+        square += other * other
+        product += value * other
+    mean, other_mean = total / n, other_total / n
+    squares, other_squares = 0.0, 0.0
     for i in range(start, stop):
-        squares += (values[i] - mean) ** 2
+        squares += (ay[i] - mean) ** 2
+        other_squares += (yaw_rate[i] - other_mean) ** 2
     out[0], out[1], out[2], out[3] = abs(mean), magnitude / n, math.sqrt(squares / n), largest
-
-
-@kernel
-def _line(ay, yaw_rate, start, stop, out):
-    """Mean product, slope of ay over yaw rate, and what the slope leaves over.
-
-    While vy is steady, ay = vx yaw_rate: the slope is the speed, and what is left over is the rate of vy.
-    """
-    n = stop - start
-    product, square, own = 0.0, 0.0, 0.0
-    for i in range(start, stop):
-        product += ay[i] * yaw_rate[i]
-        square += yaw_rate[i] * yaw_rate[i]
-        own += ay[i] * ay[i]
+    out[4], out[5] = abs(other_mean), other_magnitude / n
+    out[6], out[7] = math.sqrt(other_squares / n), other_largest
     slope = product / max(square, n * LEAST_YAW_RATE * LEAST_YAW_RATE)
     left = own - 2.0 * slope * product + slope * slope * square
-    out[0], out[1], out[2] = product / n, slope, math.sqrt(max(left, 0.0) / n)
+    out[8], out[9], out[10] = product / n, slope, math.sqrt(max(left, 0.0) / n)
 
 
 @kernel
@@ -115,10 +116,7 @@ def statistics_at(ay, yaw_rate, k, length, history, out):
     for level in range(2):
         span = length if level == 0 else length * history
         # At the start of a log the window is what there is.
-        start = max(0, k + 1 - span)
-        _statistics(ay, start, k + 1, out[11 * level : 11 * level + 4])
-        _statistics(yaw_rate, start, k + 1, out[11 * level + 4 : 11 * level + 8])
-        _line(ay, yaw_rate, start, k + 1, out[11 * level + 8 : 11 * level + 11])
+        _statistics(ay, yaw_rate, max(0, k + 1 - span), k + 1, out[11 * level : 11 * level + 11])
 
 
 @kernel

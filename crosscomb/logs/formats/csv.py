@@ -121,7 +121,8 @@ def _blank_comments(data: bytes, comment: str) -> bytes:
     mark = comment.encode()
     if mark and mark in data:
         data = re.sub(rb"(?m)^[ \t]*" + re.escape(mark) + rb".*$", b"", data)
-    if data[:1] in (b" ", b"\t") or b"\n " in data or b"\n\t" in data:
+    starts = np.flatnonzero(np.frombuffer(data, np.uint8)[:-1] == ord("\n")) + 1
+    if data[:1] in (b" ", b"\t") or np.isin(np.frombuffer(data, np.uint8)[starts], (9, 32)).any():
         data = re.sub(rb"(?m)^[ \t]+$", b"", data)
     return data
 
