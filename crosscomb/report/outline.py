@@ -57,9 +57,9 @@ class Outline:
             return {name: column for (of, name), column in columns.items() if of == kind}
 
         signals = replace(self.like.signals, frame=pd.DataFrame(told("signals")))
-        rest = {"filters": told("filters"), "extras": told("extras")}
-        motion, handling = Motion(**told("motion")), Handling(**told("handling"))
-        return LogEstimate(signals, motion=motion, handling=handling, **rest, **told(""))
+        motion, handling, own = Motion(**told("motion")), Handling(**told("handling")), told("")
+        answers = own["beta"], own["beta_std"], own["active"], own["status"]
+        return LogEstimate(signals, *answers, told("filters"), motion, handling, told("extras"))
 
 
 def _columns(estimate: LogEstimate) -> Columns:
