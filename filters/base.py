@@ -100,6 +100,8 @@ class KernelFilter:
     """
     odd_innovations: ClassVar[tuple[str, ...]] = ()
     """Those innovations that change sign when the drive is mirrored."""
+    implied: ClassVar[Mapping[str, Mapping[str, Any]]] = {}
+    """Settings that others imply where they are left out: what those meant before there was a choice."""
     divisors: ClassVar[tuple[str, ...]] = (
         "yaw_rate", "ax", "ay", "accel", "speed", "wheel_speed", "gnss_velocity", "heading",
     )  # fmt: skip

@@ -41,8 +41,8 @@ CATALOGUE: dict[str, Entry] = {
     ),
     "random_walk_pf": Entry(
         "random_walk.pf:RandomWalkPF",
-        "particle filter with free axle forces, softly tied to the EKF; needs no friction, costs most",
-        "Atheupe 2023, eq. 17 and 29",
+        "particle filter with free axle forces, softly tied to the EKF; needs no friction, follows the EKF",
+        "Atheupe 2023, eq. 17 and 29; Schoen, Gustafsson and Nordlund 2005",
     ),
     "lint_ekf": Entry(
         "single_track.tyre_ekf:LINT",
@@ -78,11 +78,6 @@ CATALOGUE: dict[str, Entry] = {
         "random_walk.double_track_ekf:DoubleTrackRandomWalkEKF",
         "EKF with free wheel forces on the double track, for slow manoeuvres; fails in slides",
         "Pieralice 2018, section 3, EKF+RW",
-    ),
-    "rao_blackwell_pf": Entry(
-        "random_walk.rao_blackwell_pf:RaoBlackwellPF",
-        "random-walk particle filter whose forces are solved exactly: steadier and faster; follows the EKF as it does",
-        "Schoen, Gustafsson and Nordlund 2005, on Atheupe 2023, eq. 17 and 29",
     ),
     "adaptive_pf": Entry(
         "random_walk.adaptive_pf:AdaptivePF",
@@ -226,6 +221,9 @@ CATALOGUE: dict[str, Entry] = {
     ),
 }
 
+RENAMED = {"rao_blackwell_pf": "random_walk_pf"}
+"""Names of before; to run the filter under its new one needs no settings."""
+
 LEAST_DIVISOR = 1e-9
 MOST_PARTICLES = 1_000_000
 MOST_SEED = 2**63 - 1
@@ -249,17 +247,32 @@ def make_filter(name: str, vehicle: Vehicle, settings: Mapping[str, Any] | None 
     UsageError
         The name or a setting is unknown, or a value is out of range.
     """
-    if name not in CATALOGUE:
-        raise UsageError(f"filter {name}: not in the catalogue: take of {', '.join(CATALOGUE)}")
+    require_listed(f"filter {name}", name)
     cls = CATALOGUE[name].load()
     defaults = {f.name: f.default for f in fields(cls) if f.name != "vehicle"}
-    chosen: dict[str, Any] = {}
-    for key, value in (settings or {}).items():
+    given, chosen = dict(settings or {}), {}
+    for key, others in cls.implied.items():
+        if key in given:
+            given = {**others, **given}
+    for key, value in given.items():
         if key not in defaults:
             raise UsageError(f"filter {name}: unknown setting {key}: take of {', '.join(defaults)}")
         where, check = f"filter {name}: {key}", cls.tables.get(key)
         chosen[key] = check(where, value) if check else _checked(where, key, value, defaults[key], cls)
     return cls(vehicle, **chosen)
+
+
+def require_listed(where: str, name: str) -> None:
+    """Refuse a name that is not in the catalogue; of a filter that has another name now, say which.
+
+    Raises
+    ------
+    UsageError
+    """
+    if name in RENAMED:
+        raise UsageError(f"{where}: is what {RENAMED[name]} runs by default now: name that instead")
+    if name not in CATALOGUE:
+        raise UsageError(f"{where}: not in the catalogue: `crosscomb filters` lists what there is")
 
 
 def settings_of(estimator: KernelFilter) -> dict[str, Any]:

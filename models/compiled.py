@@ -9,7 +9,12 @@ from numba.core.options import DefaultOptions
 
 # Numba counts who holds an array, also in a kernel that only borrows its arrays: these atomic additions took two
 # thirds of the time of an EKF. The switch has no public name; where it is gone, kernels are slower and as right.
-_OPTIONS: dict[str, Any] = {"cache": True, **({"_nrt": False} if hasattr(DefaultOptions, "_nrt") else {})}
+# The error model of numpy does not ask before each division whether it is one by zero.
+_OPTIONS: dict[str, Any] = {
+    "cache": True,
+    "error_model": "numpy",
+    **({"_nrt": False} if hasattr(DefaultOptions, "_nrt") else {}),
+}
 
 kernel = njit(**_OPTIONS)
 """For kernels that neither make arrays nor give any back: all they work on is handed to them.
@@ -21,3 +26,6 @@ inlined = njit(forceinline=True, **_OPTIONS)
 """The same for what kernels of the Kalman family call: to pass a state's arrays costs more than many of these
 functions do. Results are the same bit for bit.
 """
+
+summing = njit(forceinline=True, fastmath={"reassoc"}, **_OPTIONS)
+"""The same for sums over particles: several are added at a time, in an order that the compiler chooses once."""

@@ -16,10 +16,8 @@ from estimator_checks import CHECKS
 
 CAR = load_vehicle("generic_compact")
 FEW = {
-    "random_walk_pf": {"particles": 200},
     "dynamic_pf": {"particles": 200},
     "kinematic_pf": {"particles": 200},
-    "rao_blackwell_pf": {"particles": 200},
     "adaptive_pf": {"effective": 100, "least_particles": 100, "most_particles": 800},
 }
 """Particle filters run with fewer particles here: it is their conduct that is tested."""
@@ -29,8 +27,11 @@ VARIANTS: dict[str, tuple[dict[str, Any], ...]] = {
     "dynamic_ekf": ({"tyre": "linear"},),
     "dynamic_pf": ({"tyre": "linear"}, {"particles": 1}),
     "kinematic_pf": tuple({"particles": 50, "resampling": scheme} for scheme in SCHEMES),
-    "random_walk_pf": tuple({"resampling": scheme} for scheme in SCHEMES),
-    "rao_blackwell_pf": tuple({"resampling": s, "particles": n} for s in SCHEMES for n in (1, 200)),
+    "random_walk_pf": (
+        *({"resampling": scheme} for scheme in SCHEMES),
+        *({"particles": 200, "resampling": scheme} for scheme in SCHEMES),
+        {"particles": 1, "forces": "solved"},
+    ),
     "random_walk_ekf": ({"slip_from": "geometric"}, {"slip_from": "free"}),
     "double_track_random_walk_ekf": (
         {"measured": "u_r", "yaw_moment": "zero", "slip_from": "free"},

@@ -14,7 +14,7 @@ from crosscomb.logs.prepare import complete
 from crosscomb.logs.read import read_log
 from crosscomb.models.vehicle import load_vehicle
 from crosscomb.signals import MIN_SPEED
-from estimator_cases import CAR, SHORT, quick
+from estimator_cases import CAR, FEW, SHORT, quick
 from estimator_checks import assert_same_bits, assert_sound, by_steps, lively
 
 
@@ -40,7 +40,7 @@ def test_a_setting_of_zero_is_refused_in_one_line_or_harmless(name):
     for place, settings in zeroed(settings_of(quick(name))):
         if place[0] == "network":
             continue
-        few = {"particles": 50} if "particles" in settings_of(quick(name)) else {}
+        few = {"particles": 50} if "particles" in FEW.get(name, {}) else {}
         try:
             beta = make_filter(name, CAR, few | settings).run(short).beta
         except UsageError as error:
@@ -101,3 +101,19 @@ def test_all_are_bounded_on_every_real_recording(data_dir):
                 if counted.any():
                     rmse = np.degrees(np.sqrt(np.mean((beta - beta_ref)[counted] ** 2)))
                     assert rmse < 30.0, (path.name, name, rmse)
+
+
+def test_a_number_of_particles_alone_means_the_filter_that_draws_the_forces():
+    """So artefacts say that were written before there was a choice."""
+    chosen = [settings_of(make_filter("random_walk_pf", CAR, given)) for given in ({}, {"particles": 1000})]
+    assert [(each["forces"], each["particles"]) for each in chosen] == [("solved", 200), ("drawn", 1000)]
+    solved = {"particles": 50, "forces": "solved"}
+    assert settings_of(make_filter("random_walk_pf", CAR, solved))["forces"] == "solved"
+    assert [settings_of(make_filter("random_walk_pf", CAR, each)) for each in chosen] == chosen
+
+
+def test_a_name_of_before_says_what_to_name_instead():
+    with pytest.raises(
+        UsageError, match=r"^filter rao_blackwell_pf: is what random_walk_pf runs by default now"
+    ):
+        make_filter("rao_blackwell_pf", CAR)

@@ -17,13 +17,9 @@ from crosscomb.filters.base import LOW_SPEED_STD, Inputs, KernelFilter
 from crosscomb.filters.combined.blends import CovarianceFusion, FusionNoise, FuzzyBlend, FuzzyNoise
 from crosscomb.filters.kinematic.kf import KinematicKF, KinematicNoise
 from crosscomb.filters.kinematic.pf import KinematicPF
-from crosscomb.filters.random_walk.pf import (
-    ParticleNoise,
-    RandomWalkPF,
-    move_and_weigh,
-    normalise,
-    weighted_beta,
-)
+from crosscomb.filters.random_walk.pf import RandomWalkPF
+from crosscomb.filters.random_walk.plain_pf import move_and_weigh, normalise, weighted_beta
+from crosscomb.filters.random_walk.shared import ParticleNoise
 from crosscomb.filters.single_track.ekf import DynamicEKF, DynamicNoise
 from crosscomb.filters.single_track.pf import DynamicPF
 from crosscomb.models.kinematic import input_gain, rotation, slip_of_rolling_rear
@@ -39,7 +35,7 @@ GOLF = load_vehicle("golf_gti_2018")
 KF = KinematicKF(GOLF, KinematicNoise(accel=0.4, bias_time=20.0, rear_slip=0.0, demand=1e6))
 LINEAR_EKF = DynamicEKF(GOLF, DynamicNoise(0.3, 0.05, 0.01, 0.3), tyre="linear")
 DUGOFF_EKF = replace(LINEAR_EKF, tyre="dugoff")
-PF = RandomWalkPF(GOLF, ParticleNoise(force=1.0, pseudo=0.005), particles=2000)
+PF = RandomWalkPF(GOLF, ParticleNoise(force=1.0, pseudo=0.005), particles=2000, forces="drawn")
 
 Drive = tuple[np.ndarray, np.ndarray]  # samples (STEPS, 17) and true states (STEPS, 2 or 4)
 Draw = Callable[[np.random.Generator, Any, Any], np.ndarray]

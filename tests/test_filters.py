@@ -11,14 +11,9 @@ from crosscomb.filters import columns as at
 from crosscomb.filters.algebra.resampling import resample
 from crosscomb.filters.base import MAX_BETA, Estimate, Inputs, KernelFilter, make_inputs
 from crosscomb.filters.kinematic.kf import KinematicKF, KinematicNoise
-from crosscomb.filters.random_walk.pf import (
-    ParticleNoise,
-    RandomWalkPF,
-    draw_uniform,
-    first_particles,
-    move_and_weigh,
-    sin_cos,
-)
+from crosscomb.filters.random_walk.pf import RandomWalkPF
+from crosscomb.filters.random_walk.plain_pf import draw_uniform, first_particles, move_and_weigh
+from crosscomb.filters.random_walk.shared import ParticleNoise, sin_cos
 from crosscomb.filters.single_track.ekf import DynamicEKF, DynamicNoise
 from crosscomb.filters.twins.table import TWINS
 from crosscomb.models.kinematic import input_gain, rotation, slip_of_rolling_rear
@@ -39,9 +34,10 @@ FILTERS: dict[str, KernelFilter] = {
     "kinematic_kf": KinematicKF(GOLF),
     "dynamic_ekf_linear": DynamicEKF(GOLF, tyre="linear"),
     "dynamic_ekf_dugoff": DynamicEKF(GOLF, tyre="dugoff"),
-    "random_walk_pf": RandomWalkPF(GOLF, particles=200),
+    "random_walk_pf": RandomWalkPF(GOLF, particles=200, forces="drawn"),
+    "random_walk_pf solved": RandomWalkPF(GOLF),
 }
-KALMAN = [name for name in FILTERS if name != "random_walk_pf"]
+KALMAN = [name for name in FILTERS if "pf" not in name]
 each_filter = pytest.mark.parametrize("name", FILTERS)
 each_kalman_filter = pytest.mark.parametrize("name", KALMAN)
 each_drive = pytest.mark.parametrize("inputs_of", NAMED)
@@ -76,7 +72,7 @@ def test_kalman_kernels_agree_with_filterpy(name: str, inputs_of: str) -> None:
 
 
 PF_SEEDS = 30
-PLAIN_PF = RandomWalkPF(GOLF, particles=400)
+PLAIN_PF = RandomWalkPF(GOLF, particles=400, forces="drawn")
 
 
 def pf_drive() -> Inputs:
@@ -119,7 +115,7 @@ def test_the_scatter_would_show_a_wrong_particle_filter(
 @pytest.mark.parametrize("missing", [[], [at.YAW_RATE], [at.AX], [at.AY], [at.YAW_RATE, at.AX, at.AY]])
 def test_particles_without_noise_follow_the_model_exactly(missing: list[int]) -> None:
     estimator = RandomWalkPF(
-        GOLF, NOISE._replace(force=0.0, yaw_acceleration=0.0, slip_rate=0.0), particles=300
+        GOLF, NOISE._replace(force=0.0, yaw_acceleration=0.0, slip_rate=0.0), particles=300, forces="drawn"
     )
     noise, car = estimator.noise, estimator.car
     particles = estimator.make_state()
@@ -141,7 +137,7 @@ def test_particles_without_noise_follow_the_model_exactly(missing: list[int]) ->
 
 
 def test_particles_are_shaken_independently_and_as_much_as_the_settings_say() -> None:
-    estimator = RandomWalkPF(GOLF, particles=5000)
+    estimator = RandomWalkPF(GOLF, particles=5000, forces="drawn")
     noise, car = estimator.noise, estimator.car
     sample = slalom(2)[0].samples[1]
     particles = estimator.make_state()
@@ -175,7 +171,7 @@ def test_uniform_draws_are_white_and_of_unit_variance() -> None:
 
 def test_resampling_copies_particles_by_their_weights() -> None:
     n = 500
-    particles = RandomWalkPF(GOLF, particles=n).make_state()
+    particles = RandomWalkPF(GOLF, particles=n, forces="drawn").make_state()
     weights = np.random.default_rng(2).exponential(size=n) ** 3
     particles.weights[:] = weights / weights.sum()
     particles.x[:] = np.arange(n) + 1000.0 * np.arange(6)[:, None]
@@ -341,7 +337,8 @@ def test_inputs_know_the_longitudinal_forces() -> None:
 SHARP = {
     "kinematic_kf": KinematicKF(GOLF, NO_ROLLING._replace(speed=0.03)),
     "dynamic_ekf": DynamicEKF(GOLF, DynamicNoise(slip_rate=0.04, ay=0.5)),
-    "random_walk_pf": RandomWalkPF(GOLF, particles=4000),
+    "random_walk_pf": RandomWalkPF(GOLF, particles=4000, forces="drawn"),
+    "random_walk_pf solved": RandomWalkPF(GOLF),
 }
 """Filters that trust their measurements, so that a missing one tells."""
 
@@ -349,6 +346,7 @@ TELLING = {
     "kinematic_kf": {"vx", "ax", "ay", "yaw_rate"},
     "dynamic_ekf": {"ay", "yaw_rate", "steer"},
     "random_walk_pf": {"ay", "yaw_rate"},
+    "random_walk_pf solved": {"ay", "yaw_rate"},
 }
 """Channels that each filter measures or integrates; the others only shift its model a little."""
 

@@ -54,13 +54,12 @@ def test_a_second_process_compiles_nothing() -> None:
     second = kernels_used()
     assert {name for name, (_, misses) in second.items() if misses} == set()
     loaded = {name for name, (hits, _) in second.items() if hits}
-    for name, kernel in (
-        ("kinematic_kf", "kinematic"),
-        ("dynamic_ekf", "dynamic"),
-        ("random_walk_pf", "particle"),
+    for kernel in (
+        "kinematic.kf.kinematic",
+        "single_track.ekf.dynamic",
+        "random_walk.rao_blackwell_pf.blackwell",
     ):
-        module = CATALOGUE[name].place.partition(":")[0]
-        assert f"crosscomb.filters.{module}.{kernel}_run" in loaded
+        assert f"crosscomb.filters.{kernel}_run" in loaded
 
 
 @pytest.mark.parametrize("name", CATALOGUE)

@@ -7,19 +7,19 @@ import pytest
 from scipy.stats import chi2
 
 from crosscomb.filters import columns as at
-from crosscomb.filters.algebra.particles import normalise
-from crosscomb.filters.algebra.resampling import resample
 from crosscomb.filters.base import LOW_SPEED_STD, MAX_BETA, Inputs
-from crosscomb.filters.random_walk.pf import FIRST_SPREAD, MOST_DOUBT, ParticleNoise, RandomWalkPF
+from crosscomb.filters.random_walk.pf import RandomWalkPF
 from crosscomb.filters.random_walk.rao_blackwell_pf import (
     MAX_FORCE_STD,
-    RaoBlackwellPF,
+    NORMALS,
     blackwell_start,
     draw_and_weigh,
+    power_of_e,
+    resample_matched,
     share_prediction,
     share_update,
-    take_means,
 )
+from crosscomb.filters.random_walk.shared import FIRST_SPREAD, MOST_DOUBT, ParticleNoise
 from crosscomb.filters.single_track.ekf import DynamicEKF
 from crosscomb.models.kinematic import slip_of_rolling_rear
 from crosscomb.models.random_walk import random_walk_jacobian, random_walk_rates
@@ -65,7 +65,16 @@ def rough() -> Inputs:
 # The textbook's numbers.
 
 
-def textbook(estimator: RaoBlackwellPF, inputs: Inputs, own: bool) -> tuple[np.ndarray, int]:
+def matched(normals: np.ndarray, weights: np.ndarray, beta: np.ndarray) -> np.ndarray:
+    """Draws of weighted mean 0 and variance 1 that beta does not tell: the residuals of a regression, scaled."""
+    given = np.column_stack([np.ones(len(beta)), beta])
+    root = np.sqrt(weights)
+    fitted = np.linalg.lstsq(given * root[:, None], normals * root, rcond=None)[0]
+    rest = normals - given @ fitted
+    return rest / np.sqrt(weights @ rest**2)
+
+
+def textbook(estimator: RandomWalkPF, inputs: Inputs, own: bool) -> tuple[np.ndarray, int]:
     """Marginalised particle filter (Schoen, Gustafsson and Nordlund 2005) in numpy, with the kernel's random numbers.
 
     With `own`, every particle has its own covariance, gains and slopes, as exact; else those at the mean beta.
@@ -76,6 +85,7 @@ def textbook(estimator: RaoBlackwellPF, inputs: Inputs, own: bool) -> tuple[np.n
     """
     noise, car, n = estimator.noise, estimator.car, estimator.particles
     rng = np.random.Generator(np.random.SFC64(estimator.seed))
+    normals = rng.standard_normal(NORMALS + n)
     ekf = DynamicEKF(estimator.vehicle, noise.ekf).run(inputs)
     slip_variance = (noise.pseudo**2 + np.minimum(ekf.beta_std, MOST_DOUBT) ** 2) / DT
     force = (noise.force * car.mass) ** 2
@@ -84,14 +94,17 @@ def textbook(estimator: RaoBlackwellPF, inputs: Inputs, own: bool) -> tuple[np.n
     first = inputs.samples[0]
     axles = car.mass * first[at.AY] * np.array([car.b, car.a]) / (car.a + car.b)
     z = np.tile(np.array([first[at.YAW_RATE], first[at.FXF], first[at.FXR], *axles]), (n, 1))
-    beta = ekf.beta[0] + FIRST_SPREAD[1] * (2.0 * rng.random(n) - 1.0)
+    beta = ekf.beta[0] + FIRST_SPREAD[1] * (2.0 * (np.arange(n) + rng.random()) / n - 1.0)
     p = np.tile(np.diag(np.array([FIRST_SPREAD[0], *[2.0 * car.mass] * 4]) ** 2 / 3.0), (n, 1, 1))
-    weights, log_weights, mean = np.full(n, 1.0 / n), np.zeros(n), np.insert(z[0], 1, ekf.beta[0])
+    weights = np.full(n, 1.0 / n)
+    mean = weights @ np.insert(z, 1, beta, axis=1)
     out, first_drawn_anew = np.full((len(inputs.samples), 4), np.nan), len(inputs.samples)
     for k in range(1, len(inputs.samples)):
         sample = inputs.samples[k]
         given = (*sample[[at.VX, at.STEER, at.STEER_REAR]], car)
-        draws = rng.standard_normal(n)
+        begin = int(NORMALS * rng.random())
+        draws = matched(normals[begin : begin + n], weights, beta)
+        log_weights = np.zeros(n)
         for i in range(n):
             pi = p[i] + DT * force * np.diag([0.0, *np.maximum(1.0 - np.diag(p[i])[1:] / limit, 0.0)])
             state, slopes = np.insert(z[i], 1, beta[i]), np.empty((4, 6))
@@ -119,29 +132,31 @@ def textbook(estimator: RaoBlackwellPF, inputs: Inputs, own: bool) -> tuple[np.n
             p[i] = pi - gain @ s @ gain.T
             fit = off @ np.linalg.solve(s, off) + np.log(np.linalg.det(s) / np.linalg.det(r))
             log_weights[i] -= 0.5 * (fit + (beta[i] - ekf.beta[k]) ** 2 / slip_variance[k])
-        weights = np.exp(log_weights - log_weights.max())
+        weights *= np.exp(log_weights - log_weights.max())
         weights /= weights.sum()
         mean = weights @ np.insert(z, 1, beta, axis=1)
         out[k] = mean[1], np.sqrt(weights @ (beta - mean[1]) ** 2), mean[4], mean[5]
         if 1.0 / (weights @ weights) < 0.5 * n:
             positions = (np.arange(n) + rng.random()) / n
             source = np.searchsorted(np.cumsum(weights), positions)
-            z, beta, p, log_weights = z[source], beta[source], p[source], np.zeros(n)
+            z, beta, p, weights = z[source], beta[source], p[source], np.full(n, 1.0 / n)
+            z += mean[LINEAR] - z.mean(axis=0)
+            beta = mean[1] + (beta - beta.mean()) * out[k, 1] / beta.std()
             first_drawn_anew = min(first_drawn_anew, k)
     return out, first_drawn_anew
 
 
 @pytest.fixture(scope="module")
-def textbook_case() -> tuple[RaoBlackwellPF, Inputs, np.ndarray]:
+def textbook_case() -> tuple[RandomWalkPF, Inputs, np.ndarray]:
     """A drive at 6 m/s, where the error of the forces matters, and the kernel's answer."""
-    estimator = RaoBlackwellPF(GOLF, NOISE._replace(slip_rate=0.03), particles=40, seed=2)
+    estimator = RandomWalkPF(GOLF, NOISE._replace(slip_rate=0.03), particles=40, seed=2)
     inputs = slalom(150, vx=6.0, steer=0.2)
     estimate = estimator.run(inputs)
     return estimator, inputs, np.column_stack([estimate.beta, estimate.beta_std, *estimate.extra.values()])
 
 
 def test_the_kernel_gives_the_textbook_numbers(
-    textbook_case: tuple[RaoBlackwellPF, Inputs, np.ndarray],
+    textbook_case: tuple[RandomWalkPF, Inputs, np.ndarray],
 ) -> None:
     estimator, inputs, answer = textbook_case
     expected, first = textbook(estimator, inputs, own=False)
@@ -155,7 +170,7 @@ def test_sharing_the_covariance_costs_next_to_nothing() -> None:
 
     The first resampling then turns the least difference of the weights into other particles.
     """
-    estimator = RaoBlackwellPF(GOLF, NOISE._replace(slip_rate=0.03, pseudo=10.0), particles=20)
+    estimator = RandomWalkPF(GOLF, NOISE._replace(slip_rate=0.03, pseudo=10.0), particles=20)
     inputs = slalom(100, vx=6.0, steer=0.2)
     exact, first = textbook(estimator, inputs, own=True)
     assert first > 50
@@ -164,10 +179,18 @@ def test_sharing_the_covariance_costs_next_to_nothing() -> None:
     assert 0.0 < np.abs(difference).max() < 0.1, "next to a spread of 5 deg"
 
 
+def test_the_power_of_e_is_exact_enough() -> None:
+    exponents = np.linspace(-39.9, 39.9, 4001)
+    np.testing.assert_allclose([power_of_e(x) for x in exponents], np.exp(exponents), rtol=1e-5)
+    near = np.linspace(-10.0, 10.0, 4001)
+    np.testing.assert_allclose([power_of_e(x) for x in near], np.exp(near), rtol=1e-10)
+    assert power_of_e(-1e6) == power_of_e(-40.0) > 0.0
+
+
 # The posterior.
 
 
-def runs(estimator: RaoBlackwellPF | RandomWalkPF, inputs: Inputs, seeds: int) -> np.ndarray:
+def runs(estimator: RandomWalkPF, inputs: Inputs, seeds: int) -> np.ndarray:
     """Mean and standard deviation of beta at every 25th sample from the 75th on ``(seeds, 2 m)``."""
     estimates = [replace(estimator, seed=seed).run(inputs) for seed in range(seeds)]
     return np.array([np.concatenate([run.beta[75::25], run.beta_std[75::25]]) for run in estimates])
@@ -181,11 +204,11 @@ def welch(first: np.ndarray, second: np.ndarray) -> np.ndarray:
 
 @pytest.fixture(scope="module")
 def plain_runs() -> np.ndarray:
-    return runs(RandomWalkPF(GOLF, particles=15_000), slalom(150), 12)
+    return runs(RandomWalkPF(GOLF, particles=15_000, forces="drawn"), slalom(150), 12)
 
 
 def test_the_posterior_is_that_of_very_many_plain_particles(plain_runs: np.ndarray) -> None:
-    blackwell = runs(RaoBlackwellPF(GOLF, particles=1000), slalom(150), 12)
+    blackwell = runs(RandomWalkPF(GOLF, particles=1000), slalom(150), 12)
     assert np.abs(welch(blackwell, plain_runs)).max() < 5.0
     difference = np.degrees(np.abs(blackwell.mean(axis=0) - plain_runs.mean(axis=0)))
     assert difference.max() < 0.05, "and the scatter is small enough for this to mean something"
@@ -193,14 +216,14 @@ def test_the_posterior_is_that_of_very_many_plain_particles(plain_runs: np.ndarr
 
 def test_a_wrong_posterior_would_show(plain_runs: np.ndarray) -> None:
     noise = NOISE._replace(slip_rate=1.2 * NOISE.slip_rate)
-    wrong = runs(RaoBlackwellPF(GOLF, noise, particles=1000), slalom(150), 12)
+    wrong = runs(RandomWalkPF(GOLF, noise, particles=1000), slalom(150), 12)
     assert np.abs(welch(wrong, plain_runs)).max() > 5.0
 
 
 def test_fewer_particles_scatter_less_than_as_many_plain_ones() -> None:
     inputs = slalom(200)
-    blackwell = runs(RaoBlackwellPF(GOLF, particles=200), inputs, 16).std(axis=0)
-    plain = runs(RandomWalkPF(GOLF, particles=200), inputs, 16).std(axis=0)
+    blackwell = runs(RandomWalkPF(GOLF, particles=200), inputs, 16).std(axis=0)
+    plain = runs(RandomWalkPF(GOLF, particles=200, forces="drawn"), inputs, 16).std(axis=0)
     assert np.median(plain / blackwell) > 2.0
 
 
@@ -212,7 +235,7 @@ def extended_kalman(
     A forgetful one drops the covariance of beta with the forces and yaw rate at every step: to it their errors are
     white noise on beta.
     """
-    car = RaoBlackwellPF(GOLF).car
+    car = RandomWalkPF(GOLF).car
     ekf = DynamicEKF(GOLF, noise.ekf).run(inputs)
     first = inputs.samples[0]
     axles = car.mass * first[at.AY] * np.array([car.b, car.a]) / (car.a + car.b)
@@ -244,7 +267,7 @@ def test_errors_of_the_forces_act_on_beta_for_as_long_as_they_last() -> None:
     """Slow, with poor accelerometers and little other noise, beta is as uncertain as the forces make it."""
     noise = NOISE._replace(slip_rate=0.005, accel=4.0, force=1.0, yaw_acceleration=0.1, pseudo=0.03)
     inputs = slalom(300, vx=5.0, steer=0.05)
-    estimate = RaoBlackwellPF(GOLF, noise, particles=10_000).run(inputs)
+    estimate = RandomWalkPF(GOLF, noise, particles=10_000).run(inputs)
     beta, std = extended_kalman(noise, inputs)
     _, white = extended_kalman(noise, inputs, forgetful=True)
     assert np.abs(estimate.beta - beta)[150:].max() < 0.1 * std[150:].mean()
@@ -257,7 +280,7 @@ def test_errors_of_the_forces_act_on_beta_for_as_long_as_they_last() -> None:
 
 def matched_drive(rng: np.random.Generator, steps: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """A drive of the model with its own noise: samples, true states (steps, 6) and measured beta (steps,)."""
-    car, scale = RaoBlackwellPF(GOLF).car, np.array([1.0, 1.0, *[GOLF.mass] * 4])
+    car, scale = RandomWalkPF(GOLF).car, np.array([1.0, 1.0, *[GOLF.mass] * 4])
     samples = np.zeros((steps, at.SAMPLE_WIDTH))
     samples[:, at.VX], samples[:, at.STEER] = 12.0, 0.03
     samples[0, [at.YAW_RATE, at.AY]] = 0.12, 1.5
@@ -281,7 +304,7 @@ def matched_drive(rng: np.random.Generator, steps: int) -> tuple[np.ndarray, np.
 def test_errors_are_as_large_as_the_filter_says() -> None:
     """Its own step would take the EKF's beta as measurement; here it is one that has the error it expects."""
     rng, drives, steps = np.random.default_rng(12), 60, 49
-    estimator = RaoBlackwellPF(GOLF, particles=500)
+    estimator = RandomWalkPF(GOLF, particles=500)
     nees, nees_beta, nis = np.zeros((drives, 4)), np.zeros((drives, 4)), 0.0
     for drive in range(drives):
         samples, truth, measured = matched_drive(rng, steps)
@@ -289,17 +312,15 @@ def test_errors_are_as_large_as_the_filter_says() -> None:
         blackwell_start(state, samples[0], measured[0], estimator.car)
         for k in range(1, steps):
             share_prediction(state, samples[k], estimator.car, NOISE, DT)
-            nis += share_update(state, samples[k], NOISE, DT)
-            draw_and_weigh(state, samples[k], measured[k], 0.0, estimator.car, NOISE, DT)
-            effective = normalise(state.log_weights, state.weights)
-            take_means(state)
+            nis += share_update(state, samples[k], NOISE)
+            effective = draw_and_weigh(state, samples[k], measured[k], 0.0, NOISE, DT)
             if k % 12 == 0:
                 cov = state.cov + np.cov(state.x, aweights=state.weights, ddof=0)
                 error = truth[k] - state.mean
                 nees[drive, k // 12 - 1] = error @ np.linalg.solve(cov, error)
                 nees_beta[drive, k // 12 - 1] = error[1] ** 2 / cov[1, 1]
             if effective < 0.5 * estimator.particles:
-                resample(state)
+                resample_matched(state)
     for values, degrees in ((nees, 6), (nees_beta, 1)):
         low, high = chi2.interval(0.999, degrees * drives)
         assert np.all((low < values.sum(axis=0)) & (values.sum(axis=0) < high))
@@ -313,7 +334,7 @@ def test_errors_are_as_large_as_the_filter_says() -> None:
 @pytest.mark.parametrize("particles", [1, 200])
 @pytest.mark.parametrize("resampling", ["systematic", "stratified", "multinomial", "residual"])
 def test_steps_give_the_bits_of_a_run_and_the_answer_is_finite(particles: int, resampling: str) -> None:
-    estimator, inputs = RaoBlackwellPF(GOLF, particles=particles, resampling=resampling), rough()
+    estimator, inputs = RandomWalkPF(GOLF, particles=particles, resampling=resampling), rough()
     estimate = estimator.run(inputs)
     started = estimator.start(DT)
     stepped = np.array([estimator.step(started, sample) for sample in inputs.samples])
@@ -339,7 +360,7 @@ def test_steps_give_the_bits_of_a_run_and_the_answer_is_finite(particles: int, r
 
 def test_another_seed_is_another_estimate() -> None:
     inputs = slalom(100)
-    first, second = (RaoBlackwellPF(GOLF, seed=seed).run(inputs).beta for seed in range(2))
+    first, second = (RandomWalkPF(GOLF, seed=seed).run(inputs).beta for seed in range(2))
     assert np.all(first[1:] != second[1:])
 
 
@@ -349,16 +370,16 @@ def test_a_missing_or_wild_measurement_is_as_none() -> None:
         missing.samples[60, column], absurd.samples[60, column] = np.nan, wild
         # The EKF that gives the pseudo-measurement believes what it gets; only what follows from it may differ.
         noise = NOISE._replace(pseudo=1e6)
-        first, second = (RaoBlackwellPF(GOLF, noise).run(inputs) for inputs in (missing, absurd))
+        first, second = (RandomWalkPF(GOLF, noise).run(inputs) for inputs in (missing, absurd))
         np.testing.assert_allclose(first.beta, second.beta, rtol=0.0, atol=1e-6)
-        untouched = RaoBlackwellPF(GOLF, noise).run(slalom(100))
+        untouched = RandomWalkPF(GOLF, noise).run(slalom(100))
         assert np.all(untouched.beta[60:] != first.beta[60:])
 
 
 def test_forces_stay_bounded_without_measurements() -> None:
     samples = slalom(3000).samples
     samples[100:, [at.AX, at.AY, at.YAW_RATE]] = np.nan
-    estimator = RaoBlackwellPF(GOLF, particles=50)
+    estimator = RandomWalkPF(GOLF, particles=50)
     started = estimator.start(DT)
     for sample in samples:
         _, std, nis = estimator.step(started, sample)
@@ -371,7 +392,7 @@ def test_forces_stay_bounded_without_measurements() -> None:
 def test_a_turn_is_seen_in_the_axle_forces() -> None:
     samples = np.zeros((400, at.SAMPLE_WIDTH))
     samples[:, at.VX], samples[:, at.AY], samples[:, at.YAW_RATE] = 15.0, 3.0, 0.2
-    estimate = RaoBlackwellPF(GOLF).run(Inputs(DT, samples))
+    estimate = RandomWalkPF(GOLF).run(Inputs(DT, samples))
     fyf, fyr = (estimate.extra[name][200:].mean() for name in ("fyf [N]", "fyr [N]"))
     side = GOLF.mass * 3.0 / GOLF.wheelbase
     np.testing.assert_allclose(

@@ -15,7 +15,8 @@ from crosscomb.filters import columns as at
 from crosscomb.filters.base import Inputs, Started, make_inputs
 from crosscomb.filters.catalogue import CATALOGUE, make_filter, settings_of
 from crosscomb.filters.kinematic.kf import KinematicKF, KinematicNoise
-from crosscomb.filters.random_walk.pf import ParticleNoise, RandomWalkPF
+from crosscomb.filters.random_walk.pf import RandomWalkPF
+from crosscomb.filters.random_walk.shared import ParticleNoise
 from crosscomb.filters.single_track.ekf import DynamicEKF, DynamicNoise
 from crosscomb.models.kinematic import input_gain, rotation
 from crosscomb.models.single_track import body_rates, single_track_rates
@@ -182,7 +183,7 @@ def test_the_likelihood_of_the_kalman_filter_is_that_of_all_measurements_at_once
 
 def test_the_likelihood_of_the_particle_filter_is_the_mean_density_of_its_particles():
     noise = ParticleNoise(yaw_rate=0.3, accel=3.0, pseudo=1e3)
-    filter_ = RandomWalkPF(GOLF, noise, particles=200)
+    filter_ = RandomWalkPF(GOLF, noise, particles=200, forces="drawn")
     state = filter_.make_state()._replace(evidence=np.zeros(1))
     samples = np.zeros((2, at.SAMPLE_WIDTH))
     samples[:, [at.VX, at.AX, at.AY, at.YAW_RATE]] = 20.0, 0.3, 2.0, 0.12
@@ -199,6 +200,29 @@ def test_the_likelihood_of_the_particle_filter_is_the_mean_density_of_its_partic
         found, spread = [yaw_rate, ax, ay], [noise.yaw_rate, noise.accel, noise.accel]
         densities.append(norm.pdf([0.12, 0.3, 2.0], found, spread).prod())
     assert state.evidence[0] == pytest.approx(np.log(np.mean(densities)), rel=1e-6)
+
+
+def test_solved_forces_have_the_likelihood_of_very_many_drawn_ones():
+    """Of the measurements after the first second: the first particles of the two differ."""
+    inputs = inputs_of(kinematic_log(KinematicNoise(), seed=5, steps=300))
+    noise = ParticleNoise(yaw_rate=0.1, accel=2.0)
+    wider = noise._replace(accel=1.5)
+    solved, drawn = (
+        [
+            np.mean(
+                [
+                    RandomWalkPF(GOLF, which, particles=number, forces=forces, seed=seed).log_likelihood(
+                        inputs
+                    )
+                    for seed in range(4)
+                ]
+            )
+            for which in (noise, wider)
+        ]
+        for forces, number in (("solved", 200), ("drawn", 20_000))
+    )
+    assert solved[0] - solved[1] == pytest.approx(drawn[0] - drawn[1], abs=1.0)
+    assert solved[0] == pytest.approx(drawn[0], abs=3.0)
 
 
 def test_likelihood_finds_the_noise_of_its_own_model_back():
@@ -221,7 +245,12 @@ def test_likelihood_finds_the_noise_of_its_own_model_back():
 
 def test_asking_for_the_likelihood_changes_no_estimate():
     inputs = inputs_of(kinematic_log(KinematicNoise(), seed=5, steps=300))
-    for filter_ in (KinematicKF(GOLF), DynamicEKF(GOLF), RandomWalkPF(GOLF, particles=100)):
+    for filter_ in (
+        KinematicKF(GOLF),
+        DynamicEKF(GOLF),
+        RandomWalkPF(GOLF, forces="drawn"),
+        RandomWalkPF(GOLF),
+    ):
         before = filter_.run(inputs).beta
         assert np.isfinite(filter_.log_likelihood(inputs))
         assert filter_.run(inputs).beta.tolist() == before.tolist()

@@ -12,7 +12,7 @@ import numpy as np
 
 from crosscomb.errors import UsageError
 from crosscomb.filters.base import HELD, Estimate, KernelFilter, Started, next_inputs
-from crosscomb.filters.catalogue import CATALOGUE, make_filter
+from crosscomb.filters.catalogue import make_filter, require_listed
 from crosscomb.logs.grid import to_grid
 from crosscomb.models.vehicle import Vehicle
 from crosscomb.selection.artefact import Artefact, FilterSettings
@@ -122,10 +122,7 @@ def require_known(names: Sequence[str]) -> None:
     UsageError
     """
     for name in names:
-        if name not in CATALOGUE:
-            raise UsageError(
-                f"`filters` {name}: not in the catalogue: `crosscomb filters` lists what there is"
-            )
+        require_listed(f"`filters` {name}", name)
         if list(names).count(name) > 1:
             raise UsageError(f"`filters` {name}: named twice: name it once")
 

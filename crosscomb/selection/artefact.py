@@ -10,8 +10,9 @@ from typing import Any
 from pydantic import Field, model_validator
 
 from crosscomb.checked import FileKind, Record, parse_checked, read_checked
+from crosscomb.errors import UsageError
 from crosscomb.files import write_text
-from crosscomb.filters.catalogue import CATALOGUE, make_filter
+from crosscomb.filters.catalogue import make_filter, require_listed
 from crosscomb.models.vehicle import Vehicle, load_vehicle
 from crosscomb.selection.choice import Choice
 from crosscomb.selection.correction import Correction
@@ -78,8 +79,10 @@ class Artefact(Record):
     def _consistent(self) -> Artefact:
         names = self.filter_names
         for name in names:
-            if name not in CATALOGUE:
-                raise ValueError(f"filter {name} is not in the catalogue: take of {', '.join(CATALOGUE)}")
+            try:
+                require_listed(f"filter {name}", name)
+            except UsageError as error:
+                raise ValueError(str(error)) from None
         if len(set(names)) < len(names):
             raise ValueError("a filter is named twice")
         if self.fallback not in names:

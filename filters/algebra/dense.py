@@ -44,7 +44,12 @@ def joseph_update(mean, cov, row, innovation, variance, work):
     nis : float
         innovation^2 over its variance.
     """
-    n = mean.size
+    return joseph_first(mean.size, mean, cov, row, innovation, variance, work)
+
+
+@inlined
+def joseph_first(n, mean, cov, row, innovation, variance, work):
+    """`joseph_update` of the first n states; with n a literal its loops are unrolled."""
     s = variance
     for i in range(n):
         total = 0.0

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from crosscomb.filters.algebra.resampling import RESAMPLING
-from crosscomb.models.compiled import kernel
+from crosscomb.models.compiled import kernel, summing
 
 UNIFORM = math.sqrt(12.0)  # width of a uniform distribution of unit variance
 
@@ -96,6 +96,24 @@ def log_sum(log_weights):
     for i in range(log_weights.size):
         total += math.exp(log_weights[i] - best)
     return best + math.log(total)
+
+
+@summing
+def weighted_sum(weights, values):
+    """Sum of values ``(n,)`` times their weights."""
+    total = 0.0
+    for i in range(weights.size):
+        total += weights[i] * values[i]
+    return total
+
+
+@summing
+def weighted_square(weights, values, centre):
+    """Sum of squared distances from a centre times their weights."""
+    total = 0.0
+    for i in range(weights.size):
+        total += weights[i] * (values[i] - centre) ** 2
+    return total
 
 
 @kernel

@@ -7,7 +7,8 @@ Here the rule goes by the effective sample size ``1 / sum(w^2)``: when particles
 
 between two limits, so that the effective ones would have been as many as asked for; it grows at once and shrinks by a
 tenth at most. Where the measurements come as expected, resampling happens at half of n and n settles at twice the
-effective number; in sudden manoeuvres few particles fit, and n grows. All else is `crosscomb.filters.random_walk.pf`.
+effective number; in sudden manoeuvres few particles fit, and n grows. All else is
+`crosscomb.filters.random_walk.plain_pf`.
 """
 
 from __future__ import annotations
@@ -19,10 +20,11 @@ import numpy as np
 from numba import njit
 
 from crosscomb.errors import UsageError
-from crosscomb.filters.algebra.particles import RESAMPLE_BELOW, cloud
+from crosscomb.filters.algebra.particles import RESAMPLE_BELOW
 from crosscomb.filters.algebra.resampling import RESAMPLING, draw_sources
-from crosscomb.filters.base import KernelFilter, gaussian
-from crosscomb.filters.random_walk.pf import ParticleNoise, Particles, particle_answer
+from crosscomb.filters.base import KernelFilter
+from crosscomb.filters.random_walk.plain_pf import Particles, particle_answer, plain_state
+from crosscomb.filters.random_walk.shared import ParticleNoise
 
 SHRINK = 0.9
 """The number of particles falls no faster than by this factor at a time."""
@@ -134,15 +136,8 @@ class AdaptivePF(KernelFilter):
 
     def make_state(self) -> Any:
         """Make the particles before the first sample."""
-        particles = Particles(
-            **cloud(6, self.most_particles, self.resampling, self.seed),
-            running=np.zeros(1, dtype=np.int64),
-            ekf=gaussian(),
-            ekf_out=np.empty(3),
-            evidence=np.empty(0),
-        )
         return ParticleStore(
-            particles=particles,
+            particles=plain_state(self.most_particles, self.resampling, self.seed),
             number=np.full(1, self.most_particles),
             least=self.least_particles,
             most=self.most_particles,

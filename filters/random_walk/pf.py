@@ -2,233 +2,60 @@
 
 State [yaw_rate, beta, fxf, fxr, fyf, fyr] (Atheupe 2023, eq. 29, corrected); weights from yaw rate, ax and ay
 (eq. 23) and from a dynamic EKF's beta as pseudo-measurement (eq. 17), which says less where the EKF itself is less
-sure. Uniform first particles and uniform process noise as in the paper's section 4. The forces are free, so neither
-friction nor stiffness needs to be known; only the pseudo-measurement ties beta down, and softly.
+sure. The forces are free, so neither friction nor stiffness needs to be known; only the pseudo-measurement ties beta
+down, and softly.
+
+Particles may carry the whole state, as in the paper, or beta alone: see the two modules beside this one.
 """
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar
 
 import numpy as np
-from numba import njit
 
-from crosscomb.filters import columns as at
-from crosscomb.filters.algebra.particles import (
-    RESAMPLE_BELOW,
-    cloud,
-    draw_uniform,
-    log_sum,
-    normalise,
-    weighted_beta,
-)
-from crosscomb.filters.algebra.resampling import RESAMPLING, resample
-from crosscomb.filters.base import (
-    LOG_2_PI,
-    Gaussian,
-    KernelFilter,
-    bounded_slip,
-    gaussian,
-    or_zero,
-    starting,
-)
-from crosscomb.filters.single_track.ekf import DynamicNoise, dynamic_step
-from crosscomb.models.compiled import kernel
-from crosscomb.models.single_track import body_rates
+from crosscomb.filters.algebra.resampling import RESAMPLING
+from crosscomb.filters.base import KernelFilter
+from crosscomb.filters.random_walk.plain_pf import Particles, particle_run, plain_state
+from crosscomb.filters.random_walk.rao_blackwell_pf import blackwell_run, blackwell_state
+from crosscomb.filters.random_walk.shared import ParticleNoise
 
 
-class ParticleNoise(NamedTuple):
-    """Noise settings of the particle filter; process densities, so that they hold at every rate."""
-
-    force: float = 2.0  # random walk of an axle force over the mass [m/s^2 per sqrt(s)]
-    yaw_acceleration: float = 0.3  # model error [rad/s^2 per sqrt(Hz)]
-    slip_rate: float = 0.04  # model error, sensor bias and bank included [rad/s per sqrt(Hz)]
-    yaw_rate: float = 0.04  # measured yaw rate [rad/s]
-    accel: float = 1.0  # measured ax and ay [m/s^2]
-    pseudo: float = 0.012  # error of the EKF's beta beside the one it states, counted once per second [rad]
-    ekf: DynamicNoise = DynamicNoise()  # of the EKF that gives the pseudo-measurement
-
-
-class Particles(NamedTuple):
-    """State of the particle filter, changed in place by its kernel."""
-
-    x: np.ndarray  # (6, n) yaw_rate, beta, fxf, fxr, fyf, fyr
-    log_weights: np.ndarray  # (n,) up to a constant
-    weights: np.ndarray  # (n,) sum to one
-    scratch: np.ndarray  # (6, n) random numbers, then resampled particles before they are copied back
-    running: np.ndarray  # (1,) 1 above the low-speed gate
-    ekf: Gaussian
-    ekf_out: np.ndarray  # (3,)
-    rng: np.random.Generator
-    source: np.ndarray  # (n,) int64, which particle each new one copied last
-    scheme: int  # of resampling
-    evidence: np.ndarray  # (1,) sum of the measurements' log densities; (0,) where nobody asks for it
-
-
-FIRST_SPREAD = (0.2, math.radians(8.0), 2.0, 2.0, 2.0, 2.0)
-"""Half width of the uniform first particles: yaw rate [rad/s], beta [rad], forces over the mass [m/s^2]."""
-
-MOST_DOUBT = math.radians(1.5)
-"""More of the EKF's own doubt does not count [rad]: in a gap of all channels nothing else holds the particles."""
-
-FAR_OFF = 0.5 * 5.0**2
-"""No measurement counts as further off than five standard deviations: a wild one would leave one particle."""
-
-
-@kernel
-def sin_cos(angle):
-    """Sine and cosine for |angle| <= `MAX_BETA`, by power series to 1e-11: inlines into vector instructions."""
-    y = angle * angle
-    sine = 1 - y * (1 / 156) * (1 - y * (1 / 210) * (1 - y * (1 / 272)))
-    sine = 1 - y * (1 / 42) * (1 - y * (1 / 72) * (1 - y * (1 / 110) * sine))
-    sine = 1 - y * (1 / 6) * (1 - y * (1 / 20) * sine)
-    cosine = 1 - y * (1 / 132) * (1 - y * (1 / 182) * (1 - y * (1 / 240)))
-    cosine = 1 - y * (1 / 30) * (1 - y * (1 / 56) * (1 - y * (1 / 90) * cosine))
-    cosine = 1 - y * (1 / 2) * (1 - y * (1 / 12) * cosine)
-    return angle * sine, cosine
-
-
-@kernel
-def first_guess(sample, beta, car):
-    """State that beta and a sample's yaw rate, ay and longitudinal forces suggest."""
-    yaw_rate = or_zero(sample[at.YAW_RATE])
-    side = car.mass * or_zero(sample[at.AY])
-    front = car.b / (car.a + car.b)
-    return yaw_rate, beta, sample[at.FXF], sample[at.FXR], front * side, (1.0 - front) * side
-
-
-@kernel
-def first_particles(particles, sample, beta, car):
-    """Spread the particles uniformly around the first guess."""
-    x, rng = particles.x, particles.rng
-    centre = first_guess(sample, beta, car)
-    for row in range(6):
-        half = FIRST_SPREAD[row] * (car.mass if row > 1 else 1.0)
-        for i in range(x.shape[1]):
-            x[row, i] = centre[row] + half * (2.0 * rng.random() - 1.0)
-    particles.log_weights[:] = 0.0
-
-
-@kernel
-def slip_precision(beta_std, noise, dt):
-    """Half the precision of the EKF's beta as a pseudo-measurement, with the EKF's own doubt beta_std [rad].
-
-    The EKF's error lasts long, so its beta counts as one measurement per second, spread over the steps.
-    """
-    doubt = min(beta_std, MOST_DOUBT)
-    return 0.5 * dt / (noise.pseudo**2 + doubt * doubt)
-
-
-@kernel
-def move_and_weigh(particles, sample, beta_ekf, std_ekf, car, noise, dt):
-    """Predict every particle over dt and add its log likelihood to its log weight."""
-    x, log_weights, draws = particles.x, particles.log_weights, particles.scratch
-    draw_uniform(particles.rng, draws)
-    vx = sample[at.VX]
-    cos_f, sin_f = math.cos(sample[at.STEER]), math.sin(sample[at.STEER])
-    cos_r, sin_r = math.cos(sample[at.STEER_REAR]), math.sin(sample[at.STEER_REAR])
-    root = math.sqrt(dt)
-    force, yaw, slip = root * noise.force * car.mass, root * noise.yaw_acceleration, root * noise.slip_rate
-    # A missing measurement gets no say: its precision is zero.
-    p_yaw = 0.5 / noise.yaw_rate**2 if math.isfinite(sample[at.YAW_RATE]) else 0.0
-    p_ax = 0.5 / noise.accel**2 if math.isfinite(sample[at.AX]) else 0.0
-    p_ay = 0.5 / noise.accel**2 if math.isfinite(sample[at.AY]) else 0.0
-    p_beta = slip_precision(std_ekf, noise, dt)
-    z_yaw = sample[at.YAW_RATE] if p_yaw > 0.0 else 0.0
-    z_ax = sample[at.AX] if p_ax > 0.0 else 0.0
-    z_ay = sample[at.AY] if p_ay > 0.0 else 0.0
-    for i in range(x.shape[1]):
-        fxf, fxr = x[2, i] + force * draws[2, i], x[3, i] + force * draws[3, i]
-        fyf, fyr = x[4, i] + force * draws[4, i], x[5, i] + force * draws[5, i]
-        sin_b, cos_b = sin_cos(x[1, i])
-        yaw_acceleration, beta_rate, ax, ay = body_rates(
-            fxf, fxr, fyf, fyr, vx, x[0, i], cos_f, sin_f, cos_r, sin_r,
-            cos_b, sin_b, car.mass, car.yaw_inertia, car.a, car.b,
-        )  # fmt: skip
-        yaw_rate = x[0, i] + dt * yaw_acceleration + yaw * draws[0, i]
-        beta = bounded_slip(x[1, i] + dt * beta_rate + slip * draws[1, i])
-        x[0, i], x[1, i], x[2, i], x[3, i], x[4, i], x[5, i] = yaw_rate, beta, fxf, fxr, fyf, fyr
-        log_weights[i] -= (
-            min(p_yaw * (z_yaw - yaw_rate) ** 2, FAR_OFF)
-            + min(p_ax * (z_ax - ax) ** 2, FAR_OFF)
-            + min(p_ay * (z_ay - ay) ** 2, FAR_OFF)
-            + p_beta * (beta_ekf - beta) ** 2
-        )
-
-
-@kernel
-def log_scale(sample, noise):
-    """Log of what the densities of the measurements that are there are divided by."""
-    total = 0.0
-    if math.isfinite(sample[at.YAW_RATE]):
-        total += 0.5 * LOG_2_PI + math.log(noise.yaw_rate)
-    for column in (at.AX, at.AY):
-        if math.isfinite(sample[column]):
-            total += 0.5 * LOG_2_PI + math.log(noise.accel)
-    return total
-
-
-@kernel
-def particle_answer(particles, sample, car, noise, dt, out):
-    """One sample of the particle filter without resampling; give the effective sample size, inf at low speed."""
-    dynamic_step(particles.ekf, sample, car, noise.ekf, dt, particles.ekf_out)
-    beta_ekf, std_ekf = particles.ekf_out[at.BETA], particles.ekf_out[at.BETA_STD]
-    if starting(particles.running, sample, car, out):
-        if particles.running[0] == 1:
-            first_particles(particles, sample, beta_ekf, car)
-        return math.inf
-    if particles.evidence.size > 0:
-        particles.evidence[0] -= log_sum(particles.log_weights)
-    move_and_weigh(particles, sample, beta_ekf, std_ekf, car, noise, dt)
-    if particles.evidence.size > 0:
-        particles.evidence[0] += log_sum(particles.log_weights) - log_scale(sample, noise)
-    effective = normalise(particles.log_weights, particles.weights)
-    out[at.BETA], out[at.BETA_STD] = weighted_beta(particles)
-    out[at.NIS] = math.nan
-    return effective
-
-
-@njit(cache=True)
-def particle_step(particles, sample, car, noise, dt, out):
-    """One sample of the particle filter; `out` ``(3,)`` gets beta, its standard deviation and NaN."""
-    effective = particle_answer(particles, sample, car, noise, dt, out)
-    if effective < RESAMPLE_BELOW * particles.weights.size:
-        resample(particles)
-
-
-@njit(cache=True)
-def particle_run(particles, samples, car, noise, dt, out):
-    """All samples of the particle filter."""
-    for k in range(samples.shape[0]):
-        particle_step(particles, samples[k], car, noise, dt, out[k])
+def random_walk_run(state: Any, samples: np.ndarray, *given: Any) -> None:
+    """All samples of the filter whose state it is."""
+    run = particle_run if isinstance(state, Particles) else blackwell_run
+    run(state, samples, *given)
 
 
 @dataclass(frozen=True)
 class RandomWalkPF(KernelFilter):
     """Random-walk particle filter of one vehicle.
 
-    The paper's particle numbers are 1,000, 10,000 and 30,000. The same seed gives the same estimate bit for bit.
+    With `forces` solved only beta is carried by particles, and 200 of them come closer to the posterior than 10,000
+    whose forces are drawn too (`benchmarks/speed_particles.py`). The paper's filter draws them, with 1,000, 10,000
+    or 30,000 particles; in settings a number of `particles` alone means it. The same seed gives the same bits.
     """
 
     noise: ParticleNoise = ParticleNoise()
-    particles: int = 1000
+    particles: int = 200
     resampling: str = "systematic"
     seed: int = 0
+    forces: str = "solved"
 
     divisors = (*KernelFilter.divisors, "pseudo")
-    choices: ClassVar = {**KernelFilter.choices, "resampling": tuple(RESAMPLING)}
+    choices: ClassVar = {
+        **KernelFilter.choices,
+        "resampling": tuple(RESAMPLING),
+        "forces": ("solved", "drawn"),
+    }
+    implied: ClassVar = {"particles": {"forces": "drawn"}}  # so do artefacts from before there was a choice
+    extras = ("fyf [N]", "fyr [N]")
     # Not the EKF's, nor how far it is trusted: its beta is no measurement of the car.
     told_by_likelihood = ("force", "yaw_acceleration", "slip_rate", "yaw_rate", "accel")
-    run_kernel = staticmethod(particle_run)
+    run_kernel = staticmethod(random_walk_run)
 
     def make_state(self) -> Any:
         """Make the particles before the first sample."""
-        return Particles(
-            **cloud(6, self.particles, self.resampling, self.seed),
-            running=np.zeros(1, dtype=np.int64),
-            ekf=gaussian(),
-            ekf_out=np.empty(3),
-            evidence=np.empty(0),
-        )
+        make = blackwell_state if self.forces == "solved" else plain_state
+        return make(self.particles, self.resampling, self.seed)

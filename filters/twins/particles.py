@@ -13,7 +13,9 @@ from filterpy.monte_carlo import systematic_resample
 from crosscomb.filters import base
 from crosscomb.filters import columns as at
 from crosscomb.filters.base import Estimate, Inputs
-from crosscomb.filters.random_walk.pf import FAR_OFF, FIRST_SPREAD, MOST_DOUBT, RandomWalkPF
+from crosscomb.filters.random_walk.pf import RandomWalkPF
+from crosscomb.filters.random_walk.plain_pf import FAR_OFF
+from crosscomb.filters.random_walk.shared import FIRST_SPREAD, MOST_DOUBT
 from crosscomb.filters.single_track.ekf import DynamicEKF
 from crosscomb.filters.twins.basic import twin_dynamic_ekf
 from crosscomb.filters.twins.shared import walk_samples
@@ -26,7 +28,7 @@ Resample = Callable[[np.ndarray, np.random.Generator], np.ndarray]
 
 
 def twin_random_walk_pf(estimator: RandomWalkPF, inputs: Inputs) -> Estimate:
-    """Estimate a log with the model and noise of `RandomWalkPF`, with filterpy's EKF and filterpy's resampling.
+    """Estimate a log as a `RandomWalkPF` whose forces are drawn, with filterpy's EKF and filterpy's resampling.
 
     The random numbers are others than the kernel's, so the two agree within the scatter of their seeds.
     filterpy draws from numpy's global generator, which is seeded here.

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from crosscomb.errors import UsageError
-from crosscomb.filters.catalogue import CATALOGUE, make_filter, settings_of
+from crosscomb.filters.catalogue import CATALOGUE, make_filter, require_listed, settings_of
 from crosscomb.models.vehicle import load_vehicle
 from crosscomb.selection.artefact import FilterSettings
 from crosscomb.training.folds import grouped_folds
@@ -167,8 +167,7 @@ def require_tunable(name: str, by: str) -> None:
     ------
     UsageError
     """
-    if name not in CATALOGUE:
-        raise UsageError(f"`filters` {name}: not in the catalogue: `crosscomb filters` lists what there is")
+    require_listed(f"`filters` {name}", name)
     if is_tunable(name, by):
         return
     if by == LIKELIHOOD:
