@@ -22,6 +22,8 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 
+from crosscomb.training.metrics import countable, rms
+
 BARS = {"hybrid": 1.0 / 8.0, "all": 1.0 / 10.0}
 """At most so much of the old time."""
 
@@ -40,7 +42,10 @@ def run(*words: object, patience: float | None = None) -> Run:
     """Run a command for `patience` seconds at most."""
     start = time.perf_counter()
     process = subprocess.Popen(
-        [str(word) for word in words], stdout=subprocess.DEVNULL, start_new_session=True
+        [str(word) for word in words],
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        start_new_session=True,
     )
     try:
         code = process.wait(patience)
@@ -71,8 +76,9 @@ def error_of(command: str, artefact: Path, fresh: Path, folder: Path) -> float:
     each = []
     for log in logs:
         beta = pd.read_csv(folder / f"{log.name.removesuffix('.csv.gz')}.estimate.csv")["beta"]
-        truth = pd.read_csv(log)["beta_ref"]
-        each.append(float(np.degrees(np.sqrt(np.mean((beta - truth) ** 2)))))
+        truth = pd.read_csv(log)[["beta_ref", "vx"]]
+        counted = countable(truth["beta_ref"].to_numpy(), truth["vx"].to_numpy())
+        each.append(np.degrees(rms((beta - truth["beta_ref"]).to_numpy()[counted])))
     return float(np.mean(each))
 
 

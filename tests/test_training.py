@@ -362,7 +362,7 @@ def test_a_fold_with_one_class_is_no_obstacle(recordings, banks, monkeypatch):
     for module, size in ((fit_module, "FULL"), (fit_module, "FEW"), (fit_correction, "DOUBT")):
         monkeypatch.setattr(module, size, Size(1, (8, 4), 40))
     for selector in ("tree", "paper", "hybrid"):
-        trained = train(altered, selector)
+        trained = train(altered, selector, folds=2)
         assert trained.artefact.tree.n_classes == 3
 
 
