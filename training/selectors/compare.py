@@ -19,11 +19,11 @@ from crosscomb.training.folds import grouped_folds
 from crosscomb.training.parallel import in_parallel
 from crosscomb.training.recordings import CARD, Recording, common_vehicle
 from crosscomb.training.selectors.bank import BankRun, run_bank
-from crosscomb.training.selectors.evaluate import SWITCH, Evaluation, evaluate, pool, score_filters
+from crosscomb.training.selectors.evaluate import SWITCH, Evaluation, pool, score_filters
 from crosscomb.training.selectors.fit import SELECTORS, STATISTICS, Fitter
 from crosscomb.training.selectors.fit_tree import fit_tree, to_tree
 from crosscomb.training.selectors.labels import Windows, concatenate
-from crosscomb.training.selectors.train import default_filters
+from crosscomb.training.selectors.train import default_filters, fit_and_judge
 
 REFERENCES = ("imm", "mmae")
 """Published ways to combine models, run beside the selectors as they are."""
@@ -179,11 +179,8 @@ def fitters_of(
 
 def judge_all(fitters: Sequence[Fitter], members: Sequence[int], others: Sequence[int]) -> list[Evaluation]:
     """Fit every selector on some recordings, and judge it on others."""
-    judged = []
-    for fitter in fitters:
-        artefact, _ = fitter.fit(members)
-        judged.append(evaluate([fitter.banks[i] for i in others], artefact))
-    fitters[0].known.clear()
+    judged = [fit_and_judge(fitter, members, [others])[2][0] for fitter in fitters]
+    fitters[0].known.clear()  # shared by all; no other fold asks for these trees
     return judged
 
 

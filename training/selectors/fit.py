@@ -232,7 +232,7 @@ class Fitter:
 
     def _tree(self, members: Sequence[int], shape: TreeShape, safe: int) -> Tree:
         windows = self.together(members)
-        features = windows.everything if self.kind.all_signals else windows.features
+        features = self._asked(windows)
         weight = self._weight(members, safe)
         fitted = fit_tree(features, windows, self.kind.by_regret, shape, self.seed, weight)
         tree = to_tree(fitted, features, len(self.filters))
@@ -241,14 +241,16 @@ class Fitter:
             tree = without_idle_questions(tree)
         return tree
 
+    def _asked(self, windows: Windows) -> np.ndarray:
+        """Features ``(w, f) float32`` that the tree asks for."""
+        return windows.everything if self.kind.all_signals else windows.features
+
     def _rmse(self, left_out: Sequence[tuple[list[int], Artefact]]) -> float:
         """Mean RMSE [rad] of the picked filters over the windows of recordings that their tree was not fitted on."""
         each = []
         for members, artefact in left_out:
             for windows in (self.windows[i] for i in members):
-                picked = artefact.tree.predict(
-                    windows.everything if self.kind.all_signals else windows.features
-                )
+                picked = artefact.tree.predict(self._asked(windows))
                 each.append(rms(windows.rmse[np.arange(len(picked)), picked]))
         return float(np.mean(each))
 
