@@ -7,8 +7,7 @@ from __future__ import annotations
 
 from math import cos, sin, sqrt
 
-from numba import njit
-
+from crosscomb.models.compiled import allocating
 from crosscomb.models.plant import (
     BANK,
     BRAKE,
@@ -64,7 +63,7 @@ LOCKING, LOCKING_REAR = 0.20, 0.08
 FULL_POWER_SPEED = 8.0
 
 
-@njit(cache=True)
+@allocating
 def derivatives(x, u, p, dx):
     """Write the time derivative of the states; return the specific forces along and across.
 
@@ -137,7 +136,7 @@ def derivatives(x, u, p, dx):
     return felt_x, felt_y
 
 
-@njit(cache=True)
+@allocating
 def wheel_loads(x, p):
     """Vertical loads [N] of the four wheels (docs/plant.md, section 3); none is negative."""
     damper = 2.0 * p.body_damping / p.body_rate
@@ -160,7 +159,7 @@ def wheel_loads(x, p):
     )
 
 
-@njit(cache=True)
+@allocating
 def _wheel(i, x, u, vx, vy, cs, sn, load, tyre, p, dx):
     """Forces of wheel i in the body's axes [N]; writes the derivative of its relaxed slips and its spin."""
     along, across = vx * cs + vy * sn, vy * cs - vx * sn
@@ -181,7 +180,7 @@ def _wheel(i, x, u, vx, vy, cs, sn, load, tyre, p, dx):
     return force_x * cs - force_y * sn, force_x * sn + force_y * cs
 
 
-@njit(cache=True)
+@allocating
 def _wheel_torques(x, u, load_fl, load_fr, load_rl, load_rr, p, dx):
     """Add drive, brake and rolling resistance to the wheels' spin derivatives (section 5)."""
     spin_front, spin_rear = x[SPIN] + x[SPIN + 1], x[SPIN + 2] + x[SPIN + 3]
@@ -204,7 +203,7 @@ def _wheel_torques(x, u, load_fl, load_fr, load_rl, load_rr, p, dx):
     _torque(3, x, _driven(3, x, rear, p) + lock_rear, brake_rear, LOCKING_REAR, roll * load_rr + hand, p, dx)
 
 
-@njit(cache=True)
+@allocating
 def _driven(i, x, torque, p):
     """Drive torque of wheel i [N m]; traction control takes it back between 6 and 18 % slip."""
     if p.traction_control == 0.0:
@@ -213,7 +212,7 @@ def _driven(i, x, torque, p):
     return torque * min(max((0.18 - slip) / 0.12, 0.0), 1.0)
 
 
-@njit(cache=True)
+@allocating
 def _torque(i, x, drive, brake, locking, other, p, dx):
     """Add torques to the spin of wheel i; Coulomb torques are viscous about zero spin.
 
@@ -225,7 +224,7 @@ def _torque(i, x, drive, brake, locking, other, p, dx):
     dx[SPIN + i] += drive / p.wheel_inertia - min(max(STICK_RATE * x[SPIN + i], -limit), limit)
 
 
-@njit(cache=True)
+@allocating
 def step(x, u, p, dt, work):
     """Advance the states by one step of Kutta's third-order method.
 

@@ -93,8 +93,10 @@ def _spare_scipy() -> None:
     """
     if "numba" not in sys.modules and "scipy.linalg" not in sys.modules:
         sys.modules["scipy.linalg"] = None  # type: ignore[assignment]
-        import_module("numba.np.arraymath")
-        del sys.modules["scipy.linalg"]
+        try:
+            import_module("numba.np.arraymath")
+        finally:
+            del sys.modules["scipy.linalg"]
 
 
 def answer(

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from crosscomb.errors import UsageError
+from crosscomb.logs.ahead import ahead
 from crosscomb.logs.channel_map import ChannelMap
 from crosscomb.logs.formats.table import log_name
 from crosscomb.logs.gaps import Finding
@@ -115,7 +116,7 @@ def _open_log(
 ) -> OpenedLog:
     file, look = open_log(path, channel_map), Look()
     kept: list[Signals] | None = []
-    for chunk in file.chunks():
+    for chunk in ahead(file.chunks()):
         look.take(chunk)
         room -= chunk.frame.size
         kept = [*kept, chunk] if kept is not None and room >= 0 else None

@@ -13,6 +13,7 @@ import orjson
 import pandas as pd
 
 from crosscomb.files import existing_files, run_record, write_json, writing
+from crosscomb.logs.ahead import ahead
 from crosscomb.logs.intake import OpenedLog
 from crosscomb.report.outline import Outline
 from crosscomb.run.estimate import LogEstimate, Run, Shares, next_estimate
@@ -80,15 +81,11 @@ def write_estimate(
     handling, plot : bool
         Whether to write slip angles and words of handling too; whether to draw.
     """
-    name, title, tally, outline = (
-        log.file.name,
-        f"{log.file.name}, {log.vehicle.name}",
-        Tally(),
-        Outline(log.rows),
-    )
+    name, title = log.file.name, f"{log.file.name}, {log.vehicle.name}"
+    tally, outline = Tally(), Outline(log.rows)
     with ExitStack() as stack:
         write: dict[str, Callable[[pd.DataFrame], None]] = {}
-        for chunk in log.chunks():
+        for chunk in ahead(log.chunks()):
             estimate = next_estimate(run, chunk)
             for kind, table in _tables(estimate, point, handling).items():
                 if kind not in write:
@@ -156,14 +153,10 @@ def _rows(table: pd.DataFrame) -> Iterable[str]:
 
 
 def _number_rows(numbers: np.ndarray) -> list[str]:
-    """Text of each row ``(n, columns)``, with the digits that Python prints.
-
-    orjson prints the same ones ten times as fast, but for small and infinite numbers; and ``null`` for NaN.
-    """
+    """Text of each row ``(n, columns)``: the shortest that comes back exactly; nothing for NaN."""
     text = orjson.dumps(numbers, option=orjson.OPT_SERIALIZE_NUMPY).decode()
     rows = text.replace("null", "")[2:-2].split("],[")
-    odd = ((np.abs(numbers) < 1e-4) & (numbers != 0.0)) | np.isinf(numbers)
-    for row in np.flatnonzero(odd.any(axis=1)).tolist():
+    for row in np.flatnonzero(np.isinf(numbers).any(axis=1)).tolist():  # JSON has no infinity
         rows[row] = ",".join("" if value != value else repr(value) for value in numbers[row].tolist())
     return rows
 

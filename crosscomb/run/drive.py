@@ -5,8 +5,12 @@ Works in pieces of any length, one grid point or a whole stretch, with the same 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import os
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import cache
+from typing import Any
 
 import numpy as np
 
@@ -21,6 +25,9 @@ from crosscomb.selection.windows import Past, WindowSettings, next_windows
 from crosscomb.signals import COLUMN, Signals
 
 _AY, _YAW_RATE = COLUMN["ay"], COLUMN["yaw_rate"]
+
+LONG = 1000
+"""From so many samples on filters run in threads."""
 
 
 @dataclass(frozen=True)
@@ -63,10 +70,12 @@ def start_drive(
 def next_seen(drive: Drive, points: np.ndarray) -> Seen:
     """Take the next grid points of a drive ``(n, columns)``, completed and as of `Signals.rows`."""
     inputs = next_inputs(drive.held, points, drive.vehicle, drive.dt)
-    estimates = [
-        estimator.advance(started, inputs.samples)
+    running = [
+        begin(len(points), estimator.advance, started, inputs.samples)
         for estimator, started in zip(drive.filters, drive.started, strict=True)
     ]
+    windows = next_windows(drive.past, points[:, _AY], points[:, _YAW_RATE], drive.window)
+    estimates = [wait() for wait in running]
     both = list(zip(drive.filters, estimates, strict=True))
     return Seen(
         vehicle=drive.vehicle,
@@ -77,8 +86,21 @@ def next_seen(drive: Drive, points: np.ndarray) -> Seen:
         nis=np.column_stack([estimate.nis for estimate in estimates]),
         innovations=[_told(estimate, estimator.innovations()) for estimator, estimate in both],
         extras=[_told(estimate, estimator.extras) for estimator, estimate in both] if drive.extras else [],
-        windows=next_windows(drive.past, points[:, _AY], points[:, _YAW_RATE], drive.window),
+        windows=windows,
     )
+
+
+def begin(samples: int, work: Callable[..., Any], *given: Any) -> Callable[[], Any]:
+    """Begin a filter's work, in a thread where it is worth one, and give what waits for its result."""
+    if samples < LONG:
+        result = work(*given)
+        return lambda: result
+    return _threads().submit(work, *given).result
+
+
+@cache
+def _threads() -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(os.cpu_count())
 
 
 def _told(estimate: Estimate, names: Sequence[str]) -> np.ndarray:

@@ -6,10 +6,10 @@ from functools import cached_property
 from typing import Annotated, Literal, NamedTuple
 
 import numpy as np
-from numba import njit
 from pydantic import Field, model_validator
 
 from crosscomb.checked import Record
+from crosscomb.models.compiled import allocating
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 
@@ -91,7 +91,7 @@ class Boosted(Record):
         return out
 
 
-@njit(cache=True)
+@allocating
 def boosted_at(grove, features, out):
     """Write the outputs ``(outputs,)`` for one row of features ``(f,) float32``."""
     outputs = out.size
@@ -108,7 +108,7 @@ def boosted_at(grove, features, out):
         out[i % outputs] += grove.value[node]
 
 
-@njit(cache=True)
+@allocating
 def _run(grove, features, out):
     for row in range(features.shape[0]):
         boosted_at(grove, features[row], out[row])

@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from pydantic import Field
 
 from crosscomb.checked import Record
+from crosscomb.models.compiled import allocating
 from crosscomb.selection.boosted import Boosted
 
 
@@ -39,7 +39,7 @@ class Choice(Record):
         return shares / shares.sum(axis=1, keepdims=True)
 
 
-@njit(cache=True)
+@allocating
 def _blend_run(shares, smoothed, beta, beta_std, gain, out_beta, out_std, active):
     """Blend the filters that have an answer; `smoothed` ``(filters,)`` keeps the shares from sample to sample."""
     n, filters = shares.shape

@@ -11,10 +11,10 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from pydantic import Field, model_validator
 
 from crosscomb.checked import Record
+from crosscomb.models.compiled import allocating
 from crosscomb.selection.boosted import Finite
 from crosscomb.selection.network import Network, Scratch, Weights, make_scratch, network_at
 from crosscomb.selection.trust import Trust
@@ -126,7 +126,7 @@ def make_correction_state(correction: Correction) -> CorrectionState:
     )
 
 
-@njit(cache=True)
+@allocating
 def inside_weight(features, columns, lowest, highest, slack):
     """Weight of what was learned: 1 inside the training range, 0 from `FADE` of it outside."""
     most = 0.0
@@ -136,7 +136,7 @@ def inside_weight(features, columns, lowest, highest, slack):
     return max(1.0 - most, 0.0)
 
 
-@njit(cache=True)
+@allocating
 def odd_correction(model, state, features):
     """Correction [rad] of one sample, as it stands; leaves the mirrored features in the state."""
     mirrored = state.mirrored
@@ -147,13 +147,13 @@ def odd_correction(model, state, features):
     return min(max(0.5 * correction, -model.bound), model.bound)
 
 
-@njit(cache=True)
+@allocating
 def _predict(model, state, features, out):
     for row in range(features.shape[0]):
         out[row] = odd_correction(model, state, features[row])
 
 
-@njit(cache=True)
+@allocating
 def correction_at(model, state, features, gains, answer):
     """Write correction [rad], its raw standard deviation [rad] and its weight of one sample to `answer` ``(3,)``.
 
@@ -179,7 +179,7 @@ def correction_at(model, state, features, gains, answer):
     answer[0], answer[1], answer[2] = values[0], math.exp(doubt), values[1]
 
 
-@njit(cache=True)
+@allocating
 def _run(model, state, features, gains, answers):
     for k in range(features.shape[0]):
         correction_at(model, state, features[k], gains, answers[k])

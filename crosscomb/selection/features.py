@@ -15,10 +15,10 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from crosscomb.filters import columns as at
 from crosscomb.filters.catalogue import CATALOGUE
+from crosscomb.models.compiled import allocating
 from crosscomb.models.vehicle import Vehicle
 from crosscomb.selection.seen import Seen
 from crosscomb.signals import MIN_SPEED
@@ -169,7 +169,7 @@ def make_memory(n_filters: int, n_innovations: int) -> Memory:
     return Memory(np.zeros((len(MEMORIES), channels)), np.zeros(5))
 
 
-@njit(cache=True)
+@allocating
 def _hold(value, held, i):
     """Give a measured value, or while it is missing the last one."""
     if math.isfinite(value):
@@ -177,7 +177,7 @@ def _hold(value, held, i):
     return held[i]
 
 
-@njit(cache=True)
+@allocating
 def _rear_wheels(sample, yaw_rate, speed, track_rear):
     """Yaw rate of the rear wheels less that of the car, and rear over front wheel speed less 1; 0 where unknown."""
     turn, slip = 0.0, 0.0
@@ -189,7 +189,7 @@ def _rear_wheels(sample, yaw_rate, speed, track_rear):
     return turn, slip
 
 
-@njit(cache=True)
+@allocating
 def _channels(held, sample, beta, beta_std, nis, innovations, car, lead, out):
     """Write the channels of one sample."""
     ay, yaw_rate = _hold(sample[at.AY], held, 0), _hold(sample[at.YAW_RATE], held, 1)
@@ -223,7 +223,7 @@ def _channels(held, sample, beta, beta_std, nis, innovations, car, lead, out):
         out[BETAS + 3 * filters + i] = known if math.isfinite(innovations[i]) else 0.0
 
 
-@njit(cache=True)
+@allocating
 def features_step(memory, sample, beta, beta_std, nis, innovations, car, gains, out):
     """Write the features of one sample.
 
@@ -253,7 +253,7 @@ def features_step(memory, sample, beta, beta_std, nis, innovations, car, gains, 
             out[level * channels + i] = means[level, i]
 
 
-@njit(cache=True)
+@allocating
 def _features_run(memory, samples, beta, beta_std, nis, innovations, car, gains, out):
     for k in range(samples.shape[0]):
         features_step(memory, samples[k], beta[k], beta_std[k], nis[k], innovations[k], car, gains, out[k])

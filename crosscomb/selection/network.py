@@ -6,10 +6,10 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from pydantic import Field, model_validator
 
 from crosscomb.checked import Record
+from crosscomb.models.compiled import allocating
 from crosscomb.selection.boosted import Boosted, Finite, Grove, boosted_at
 
 FAR = np.float32(5.0)
@@ -163,7 +163,7 @@ def make_scratch(weights: Weights) -> Scratch:
     )
 
 
-@njit(cache=True)
+@allocating
 def _layer(inputs, weights, bias, out):
     """Rectified linear neurons; input by input, so that the sums go through vector instructions."""
     for j in range(out.size):
@@ -177,7 +177,7 @@ def _layer(inputs, weights, bias, out):
         out[j] = max(out[j], np.float32(0.0))
 
 
-@njit(cache=True)
+@allocating
 def network_at(weights, scratch, features):
     """Answer for one row of features ``(f,) float32``."""
     inputs = scratch.inputs
@@ -200,7 +200,7 @@ def network_at(weights, scratch, features):
     return weights.unit * answer
 
 
-@njit(cache=True)
+@allocating
 def _run(weights, scratch, features, out):
     for row in range(features.shape[0]):
         out[row] = network_at(weights, scratch, features[row])

@@ -6,11 +6,11 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from pydantic import Field
 
 from crosscomb.checked import Record
 from crosscomb.filters.base import MAX_BETA
+from crosscomb.models.compiled import allocating
 
 
 class SwitchSettings(Record):
@@ -90,7 +90,7 @@ def make_switch_state(n_filters: int, first: int, times: SwitchTimes) -> SwitchS
     )
 
 
-@njit(cache=True)
+@allocating
 def _watch(state, beta, beta_std, times):
     """Bar filters that are not finite, stand still while others move, or jumped."""
     moving = False
@@ -109,7 +109,7 @@ def _watch(state, beta, beta_std, times):
             state.barred[i] = times.settle + 1
 
 
-@njit(cache=True)
+@allocating
 def switch_step(state, beta, beta_std, wanted, times):
     """Combine the estimates of one sample; give beta, its standard deviation [rad] and the active filter.
 
@@ -159,7 +159,7 @@ def switch_step(state, beta, beta_std, wanted, times):
     return values[1], math.sqrt(beta_std[current] ** 2 + values[0] * values[0]), current
 
 
-@njit(cache=True)
+@allocating
 def _switch_run(state, beta, beta_std, decision, times, out_beta, out_std, active):
     for k in range(decision.size):
         out_beta[k], out_std[k], active[k] = switch_step(state, beta[k], beta_std[k], decision[k], times)

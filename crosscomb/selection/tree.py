@@ -5,10 +5,10 @@ from __future__ import annotations
 from typing import Annotated, Literal
 
 import numpy as np
-from numba import njit
 from pydantic import Field, model_validator
 
 from crosscomb.checked import Record
+from crosscomb.models.compiled import allocating
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 
@@ -92,7 +92,7 @@ class Tree(Record):
         return np.any((features < lowest - slack) | (features > highest + slack), axis=1)
 
 
-@njit(cache=True)
+@allocating
 def _walk(features, feature, threshold, left, right):
     out = np.empty(features.shape[0], dtype=np.int64)
     for row in range(features.shape[0]):

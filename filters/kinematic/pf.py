@@ -13,7 +13,6 @@ from dataclasses import dataclass
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
-from numba import njit
 
 from crosscomb.filters import columns as at
 from crosscomb.filters.algebra.particles import LEAST_STD, RESAMPLE_BELOW, cloud, draw_uniform, normalise
@@ -27,7 +26,7 @@ from crosscomb.filters.kinematic.kf import (
     inertial_known,
     rolling_measurement,
 )
-from crosscomb.models.compiled import kernel
+from crosscomb.models.compiled import allocating, kernel
 from crosscomb.models.kinematic import input_gain, rotation
 from crosscomb.signals import MIN_SPEED
 
@@ -58,7 +57,7 @@ def first_velocities(state, vx, beta, beta_std, noise):
         x[1, i] = vy + vx * beta_std * state.rng.standard_normal()
 
 
-@njit(cache=True)
+@allocating
 def drift_particles(state, noise, dt):
     """Let the biases change over dt."""
     x, draws = state.x, state.scratch
@@ -117,7 +116,7 @@ def weighted_slip(state):
     return math.atan2(vy, vx), max(math.sqrt(variance) / speed2, LEAST_STD)
 
 
-@njit(cache=True)
+@allocating
 def kinematic_particle_step(state, sample, car, noise, dt, out):
     """One sample of the filter; `out` ``(3,)`` gets beta, its standard deviation and NaN."""
     draw_uniform(state.rng, state.scratch)
@@ -136,7 +135,7 @@ def kinematic_particle_step(state, sample, car, noise, dt, out):
         resample(state)
 
 
-@njit(cache=True)
+@allocating
 def kinematic_particle_run(state, samples, car, noise, dt, out):
     """All samples of the filter."""
     for k in range(samples.shape[0]):

@@ -17,7 +17,6 @@ from dataclasses import dataclass
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
-from numba import njit
 
 from crosscomb.errors import UsageError
 from crosscomb.filters.algebra.particles import RESAMPLE_BELOW
@@ -25,6 +24,7 @@ from crosscomb.filters.algebra.resampling import RESAMPLING, draw_sources
 from crosscomb.filters.base import KernelFilter
 from crosscomb.filters.random_walk.plain_pf import Particles, particle_answer, plain_state
 from crosscomb.filters.random_walk.shared import ParticleNoise
+from crosscomb.models.compiled import allocating
 
 SHRINK = 0.9
 """The number of particles falls no faster than by this factor at a time."""
@@ -40,13 +40,13 @@ class ParticleStore(NamedTuple):
     effective: float  # wanted effective sample size
 
 
-@njit(cache=True)
+@allocating
 def block(array, n):
     """The first numbers of a ``(6, most)`` array as ``(6, n)``."""
     return array.reshape(array.size)[: 6 * n].reshape((6, n))
 
 
-@njit(cache=True)
+@allocating
 def in_use(particles, n):
     """The first n particles, as the kernels of `random_walk_pf` take them."""
     return Particles(
@@ -64,7 +64,7 @@ def in_use(particles, n):
     )
 
 
-@njit(cache=True)
+@allocating
 def wanted(store, effective):
     """Number of particles that the effective sample size asks for."""
     n = store.number[0]
@@ -72,7 +72,7 @@ def wanted(store, effective):
     return int(min(max(asked, store.least), store.most))
 
 
-@njit(cache=True)
+@allocating
 def resample_to(store, used, n):
     """Draw n particles from those used, by their weights."""
     room = store.particles
@@ -87,7 +87,7 @@ def resample_to(store, used, n):
     store.number[0] = n
 
 
-@njit(cache=True)
+@allocating
 def adaptive_step(store, sample, car, noise, dt, out):
     """One sample; `out` ``(4,)`` gets beta, its standard deviation, NaN and the number of particles used."""
     if store.particles.running[0] == 0:
@@ -99,7 +99,7 @@ def adaptive_step(store, sample, car, noise, dt, out):
         resample_to(store, used, wanted(store, effective))
 
 
-@njit(cache=True)
+@allocating
 def adaptive_run(store, samples, car, noise, dt, out):
     """All samples of the filter."""
     for k in range(samples.shape[0]):

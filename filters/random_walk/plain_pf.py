@@ -9,7 +9,6 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from crosscomb.filters import columns as at
 from crosscomb.filters.algebra.particles import (
@@ -25,7 +24,7 @@ from crosscomb.filters.algebra.resampling import resample
 from crosscomb.filters.base import LOG_2_PI, Gaussian, bounded_slip, gaussian, starting
 from crosscomb.filters.random_walk.shared import FIRST_SPREAD, first_guess, sin_cos, slip_precision
 from crosscomb.filters.single_track.ekf import dynamic_step
-from crosscomb.models.compiled import kernel
+from crosscomb.models.compiled import allocating, kernel
 from crosscomb.models.single_track import body_rates
 
 
@@ -130,7 +129,7 @@ def particle_answer(particles, sample, car, noise, dt, out):
     return effective
 
 
-@njit(cache=True)
+@allocating
 def particle_step(particles, sample, car, noise, dt, out):
     """One sample; `out` ``(5,)`` gets beta, its standard deviation, NaN and the lateral axle forces."""
     effective = particle_answer(particles, sample, car, noise, dt, out)
@@ -141,7 +140,7 @@ def particle_step(particles, sample, car, noise, dt, out):
         resample(particles)
 
 
-@njit(cache=True)
+@allocating
 def particle_run(particles, samples, car, noise, dt, out):
     """All samples of the particle filter."""
     for k in range(samples.shape[0]):

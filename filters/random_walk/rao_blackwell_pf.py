@@ -27,7 +27,6 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from crosscomb.filters import columns as at
 from crosscomb.filters.algebra.dense import joseph_first
@@ -42,7 +41,7 @@ from crosscomb.filters.algebra.resampling import resample
 from crosscomb.filters.base import Gaussian, bounded_slip, gaussian, normal_log_density, starting
 from crosscomb.filters.random_walk.shared import FIRST_SPREAD, first_guess, sin_cos, slip_precision
 from crosscomb.filters.single_track.ekf import dynamic_step
-from crosscomb.models.compiled import inlined, kernel, summing
+from crosscomb.models.compiled import allocating, inlined, kernel, summing
 from crosscomb.models.random_walk import random_walk_jacobian
 
 OUTLIER = 5.0**2
@@ -393,7 +392,7 @@ def blackwell_steps(state, samples, car, noise, dt, out):
         blackwell_step(state, samples[k], car, noise, dt, out[k])
 
 
-@njit(cache=True)
+@allocating
 def blackwell_run(state, samples, car, noise, dt, out):
     """All samples of the filter."""
     blackwell_steps(state, samples, car, noise, dt, out)

@@ -13,7 +13,6 @@ from dataclasses import dataclass
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
-from numba import njit
 
 from crosscomb.filters import columns as at
 from crosscomb.filters.algebra.particles import (
@@ -28,7 +27,7 @@ from crosscomb.filters.algebra.resampling import RESAMPLING, resample
 from crosscomb.filters.base import KernelFilter, bounded_slip, or_zero, starting
 from crosscomb.filters.single_track.ekf import DynamicNoise
 from crosscomb.filters.single_track.shared import ay_variance, rates_at, wrong_front_force
-from crosscomb.models.compiled import kernel
+from crosscomb.models.compiled import allocating, kernel
 from crosscomb.models.single_track import stable_substeps
 
 
@@ -90,7 +89,7 @@ def weigh_slips(state, sample, car, noise):
             log_weights[i] -= precision * (sample[at.AY] - measured[1]) ** 2
 
 
-@njit(cache=True)
+@allocating
 def dynamic_particle_step(state, sample, car, noise, dt, out):
     """One sample of the filter; `out` ``(3,)`` gets beta, its standard deviation and NaN."""
     if starting(state.running, sample, car, out):
@@ -106,7 +105,7 @@ def dynamic_particle_step(state, sample, car, noise, dt, out):
         resample(state)
 
 
-@njit(cache=True)
+@allocating
 def dynamic_particle_run(state, samples, car, noise, dt, out):
     """All samples of the filter."""
     for k in range(samples.shape[0]):
