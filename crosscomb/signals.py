@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -10,6 +9,7 @@ import numpy as np
 import pandas as pd
 
 from crosscomb.errors import UsageError
+from crosscomb.stamps import Stamps
 
 GRAVITY = 9.81
 """Standard gravity [m/s^2]."""
@@ -138,7 +138,8 @@ def make_signals(frame: pd.DataFrame, name: str, source: str = "", others: Seque
     Raises
     ------
     UsageError
-        A needed column is missing or empty, fewer than two rows, or t does not increase.
+        A needed column is missing or empty, fewer than two rows, or t is unordered or starts again. Few rows that
+        repeat a time or go back are dropped, with a note.
     """
     intake = Intake(name, source or name, others)
     signals = intake.take(frame)
@@ -152,23 +153,26 @@ class Intake:
     name: str
     source: str
     others: Sequence[str] = ()
-    rows: int = 0
-    t: float = -math.inf  # of the newest row [s]
+    stamps: Stamps = field(default_factory=Stamps)
     infinite: int = 0
     measured: dict[str, bool] = field(default_factory=dict)  # by column, whether there was a value
 
     def take(self, frame: pd.DataFrame) -> Signals:
         """Check the next rows; see `make_signals`."""
-        rows = frame.index.to_numpy() if frame.index.name == "row" else np.arange(len(frame)) + self.rows + 2
+        rows = (
+            frame.index.to_numpy()
+            if frame.index.name == "row"
+            else np.arange(len(frame)) + self.stamps.rows + 2
+        )
         known = [column for column in UNITS if column in frame]
         table = frame[known].astype(np.float64).reset_index(drop=True)
         _require_columns(table, self.source, self.others)
         infinite = int(np.isinf(table.to_numpy()).sum())
         if infinite:
             table = table.replace([np.inf, -np.inf], np.nan)
-        _require_increasing_time(table, self.source, rows, self.t)
-        self.rows += len(table)
-        self.t = float(table["t"].iloc[-1]) if len(table) else self.t
+        later = self.stamps.later(table.to_numpy(), table.columns.get_loc("t"), self.source, rows)
+        if not later.all():
+            table = table[later].reset_index(drop=True)
         self.infinite += infinite
         for column in known:
             if not self.measured.get(column):
@@ -177,11 +181,13 @@ class Intake:
 
     def finish(self) -> list[str]:
         """Check what only the whole log can tell; gives the notes on it."""
-        if self.rows < 2:
-            count = "no data rows" if self.rows == 0 else "one data row"
+        notes = self.stamps.notes(self.source)
+        rows = self.stamps.rows - self.stamps.dropped
+        if rows < 2:
+            count = "no data rows" if rows == 0 else "one data row"
             raise UsageError(f"{self.source}: has {count}, at least two are needed: record a longer log")
         _require_values(self.measured, self.source)
-        return [f"{self.infinite} infinite values taken as missing"] if self.infinite else []
+        return [*notes, f"{self.infinite} infinite values taken as missing"] if self.infinite else notes
 
 
 def _require_columns(table: pd.DataFrame, source: str, others: Sequence[str]) -> None:
@@ -202,24 +208,6 @@ def _require_columns(table: pd.DataFrame, source: str, others: Sequence[str]) ->
         wheels = ", ".join(WHEEL_SPEEDS)
         raise UsageError(
             f"{source}: column vx [m/s] is missing{has}: add it or all four wheel speeds {wheels}, {mend}"
-        )
-
-
-def _require_increasing_time(table: pd.DataFrame, source: str, rows: np.ndarray, newest: float) -> None:
-    t = table["t"].to_numpy()
-    bad = np.flatnonzero(~np.isfinite(t))
-    if bad.size:
-        raise UsageError(
-            f"{source}: row {rows[bad[0]]}, column t: no time there: fill it in or delete the row"
-        )
-    step = np.flatnonzero(np.diff(t, prepend=newest) <= 0.0)
-    if step.size:
-        row = int(step[0])
-        before = float(t[row - 1]) if row else newest
-        what = "repeats" if t[row] == before else "goes backwards"
-        raise UsageError(
-            f"{source}: row {rows[row]}, column t: time {what} ({before:.10g} then {t[row]:.10g} s): "
-            f"sort the rows and delete repeated ones"
         )
 
 

@@ -109,8 +109,14 @@ LOGS: dict[str, tuple[Callable[[Place], object], list[str]]] = {
     "no header": (lambda p: p.frame.to_csv(p.log, index=False, header=False), ["row 1", "header"]),
     "text in a number column": (lambda p: p.cell(17, "ay", "fast"), ["row 17", "column ay", "'fast'"]),
     "text in the last row": (lambda p: p.cell(1501, "steer", "#REF!"), ["row 1501", "column steer"]),
-    "time backwards": (lambda p: nth(p, 40, "t", 0.1), ["row 40", "column t", "backwards", "sort"]),
-    "time repeated": (lambda p: nth(p, 40, "t", 0.37), ["row 40", "column t", "repeats"]),
+    "time backwards": (
+        lambda p: columns(p, t=p.frame["t"].to_numpy()[::-1]),
+        ["row 3", "column t", "backwards", "sort"],
+    ),
+    "time repeated": (
+        lambda p: columns(p, t=p.frame["t"].round(1)),
+        ["row 3", "column t", "repeats"],
+    ),
     "no time in a row": (lambda p: p.cell(40, "t", ""), ["row 40", "column t"]),
     "time in milliseconds": (lambda p: columns(p, t=1e3 * p.frame["t"]), ["column t", "ms"]),
     "a field too many": (lambda p: p.cell(12, "ay", "1,5"), ["row 12", "fields"]),

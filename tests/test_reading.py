@@ -95,8 +95,6 @@ LATE = {
     ),
     "long row": (rows(ROWS).replace("3.5,", "3.5,1,", 1), "row 352 has 6 fields"),
     "short row": (rows(ROWS).replace("3.5,", "", 1), "row 352 has 4 fields"),
-    "time backwards": (rows(ROWS).replace("3.5,", "3.4,", 1), r"row 352.*backwards \(3.49 then 3.4 s\)"),
-    "time repeated": (rows(ROWS).replace("3.5,", "3.49,", 1), "row 352.*repeats"),
     "after blank rows": ("\n" * 50 + rows(ROWS).replace("3.5,", "3.5,x", 1), "row 402, column vx"),
     "binary": (rows(ROWS) + "\0", "is a binary file"),
 }

@@ -16,7 +16,7 @@ from crosscomb.logs.grid import to_grid
 from crosscomb.logs.intake import require_plausible
 from crosscomb.logs.plausibility import check_units
 from crosscomb.logs.prepare import complete
-from crosscomb.logs.read import read_log
+from crosscomb.logs.read import open_log, read_log
 from crosscomb.models.vehicle import Vehicle, load_vehicle
 from crosscomb.signals import Signals
 from crosscomb.training.metrics import countable
@@ -156,13 +156,23 @@ def read_recordings(
         for path in logs:
             if progress is not None:
                 progress()
+            if open_log(path, channel_map).is_foreign:
+                notes.append(
+                    f"{prefix}{path.name}: skipped, it has none of ay, yaw_rate, steer and steer_wheel"
+                )
+                continue
             signals = read_log(path, channel_map)
+            notes += [f"{prefix}{path.name}: {note}" for note in signals.notes if "dropped" in note]
             require_plausible(signals.source, check_units(signals, car))
             signals = complete(signals, car)
             if not unscored and not signals.has_reference:
                 notes.append(f"{prefix}{path.name}: skipped, it has no ground truth above walking speed")
                 continue
             recordings.append(Recording(prefix + log_name(path), path, car, signals))
+    if not recordings and notes:
+        raise UsageError(
+            f"{folder}: holds nothing to use: {'; '.join(notes[:3])}{'; ...' if notes[3:] else ''}"
+        )
     _require_unique([recording.name for recording in recordings], folder)
     return recordings, notes
 

@@ -65,6 +65,14 @@ class LogFile:
     doubt: str  # of what the file's name says
     notes: list[str] = field(default_factory=list)
 
+    @property
+    def is_foreign(self) -> bool:
+        """Whether it has none of the channels that tell of cornering: some other table that lies among logs."""
+        signs = self.channel_map or ChannelMap()
+        return not any(
+            signs.column(name) in self.names for name in ("ay", "yaw_rate", "steer", "steer_wheel")
+        )
+
     def chunks(self) -> Iterator[Signals]:
         """The log in pieces that fit any memory, at least one.
 
@@ -87,7 +95,7 @@ class LogFile:
                 signals = taking.take(frame)
                 if len(signals):
                     yield signals
-            self.notes = [*taking.finish(), *([self.doubt] if self.doubt else [])]
+            self.notes = [*self.columns.notes, *taking.finish(), *([self.doubt] if self.doubt else [])]
 
 
 def open_log(path: str | Path, channel_map: ChannelMap | None = None) -> LogFile:

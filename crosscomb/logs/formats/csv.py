@@ -48,18 +48,22 @@ def open_log(content: Content, source: str, reader: Reader) -> Columns:
     separator = reader.separator or _guess_separator(header)
     first_row = reader.first_data_row or header_row + 1
     names = _header_names(header, separator, source, header_row)
+    notes: list[str] = []
 
     def read(places: dict[str, int]) -> Iterator[pd.DataFrame]:
         table = _Table(source, first_row, len(names), separator, places, reader.decimal)
+        notes.clear()
         for lines in _blocks(content, source, reader.comment) if places else ():
             if lines.end > first_row:
-                frame = table.numbers(lines)
+                lines, cut = lines.without_cut_row(len(names), separator)
+                notes.extend(cut)
+                frame = table.numbers(lines) if lines.end > first_row else table.empty()
                 if len(frame):
                     yield frame
         if not table.begun:
             yield table.empty()
 
-    return Columns(names, f"row {header_row}", read)
+    return Columns(names, f"row {header_row}", read, notes)
 
 
 def _blocks(content: Content, source: str, comment: str) -> Iterator[_Lines]:
@@ -78,7 +82,7 @@ def _blocks(content: Content, source: str, comment: str) -> Iterator[_Lines]:
         if text.count(b'"') % 2 and not last and len(text) <= MOST_LINE:  # it may go on in the next piece
             text, rest = b"", text + rest
         if text:
-            lines = _Lines(text, row)
+            lines = _Lines(text, row, last)
             row = lines.end
             blank += lines.count - 2 * int(np.count_nonzero(lines.full(lines.row)))
             if blank > MOST_BLANK:
@@ -130,9 +134,10 @@ def _blank_comments(data: bytes, comment: str) -> bytes:
 class _Lines:
     """Lines of a text file, numbered from `row` on, found without a Python loop over them."""
 
-    def __init__(self, data: bytes, row: int) -> None:
+    def __init__(self, data: bytes, row: int, last: bool = False) -> None:
         self.data = data
         self.row = row
+        self.unended = last and not data.endswith(b"\n")  # the last line of the file
         self._bytes = np.frombuffer(data, np.uint8)
         ends = np.flatnonzero(self._bytes == ord("\n"))
         if not data.endswith(b"\n"):
@@ -165,6 +170,18 @@ class _Lines:
         """Tell which of the rows from `first_row` on are not blank."""
         place = first_row - self.row
         return self._ends[place:] > self._starts[place:]
+
+    def without_cut_row(self, columns: int, separator: str) -> tuple[_Lines, list[str]]:
+        """These lines without a last one that was cut off while it was written, and a note on it."""
+        row = self.end - 1
+        if not self.unended or not self.full(row).any():
+            return self, []
+        line = self.line(row)
+        fields = len(line.split()) if separator == " " else line.count(separator) + 1
+        if fields >= columns and line.count('"') % 2 == 0:
+            return self, []
+        note = f"row {row}, the last one, dropped: it was cut off ({fields} of {columns} fields)"
+        return _Lines(self.data[: self._starts[row - self.row]], self.row), [note]
 
     def refuse_long_fields(self, first_row: int, separator: str, source: str) -> None:
         """Raise where a field is longer than any number or word."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol, cast
@@ -31,11 +31,14 @@ class Columns:
         From a dict, the wanted columns by our name with their place in `names`, to float64 DataFrames of them, piece
         by piece and at least one, whose index called ``row`` holds the row numbers in the file; NaN means "no
         measurement".
+    notes : list of str
+        What was done to the rows, once all were read.
     """
 
     names: list[str]
     place: str
     read: Callable[[dict[str, int]], Iterable[pd.DataFrame]]
+    notes: list[str] = field(default_factory=list)
 
 
 class FormatReader(Protocol):
