@@ -17,7 +17,8 @@ ROWS = 400
 
 def table(times: np.ndarray) -> str:
     """Rows that say in vx where they stood before anything went wrong."""
-    return HEADER + "".join(f"{t:.6g},{10 + i / 8},{-0.125 * (10 + i / 8):.6g},-0.125,0.02\n" for i, t in enumerate(times))
+    rows = (f"{t:.6g},{10 + i / 8},{-0.125 * (10 + i / 8):.6g},-0.125,0.02\n" for i, t in enumerate(times))
+    return HEADER + "".join(rows)
 
 
 TIMES = np.arange(ROWS) / 100
