@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from crosscomb.cli.options import FiltersOption, JobsOption, SelectorFileOption, TunedOption, filter_names
 from crosscomb.errors import UsageError
 
+if TYPE_CHECKING:
+    from crosscomb.training.suites.fault_campaign import Setup
+
 
 def benchmark(
-    suite: Annotated[str, typer.Argument(help="real, simulated, papers or speed.")] = "simulated",
+    suite: Annotated[str, typer.Argument(help="real, simulated, faults, papers or speed.")] = "simulated",
     data: Annotated[
-        Path | None, typer.Option("--data", help="Folder of real logs, for the suite real.")
+        Path | None, typer.Option("--data", help="Folder of real logs, for the suites real and faults.")
     ] = None,
     selector_file: SelectorFileOption = None,
     output: Annotated[
@@ -23,8 +26,15 @@ def benchmark(
     jobs: JobsOption = 2,
     filters: FiltersOption = None,
     tuned: TunedOption = None,
+    seeds: Annotated[
+        int, typer.Option("--seeds", min=1, max=100, help="Faults: simulated logs of each manoeuvre.")
+    ] = 5,
+    drift: Annotated[
+        Path | None, typer.Option("--drift", help="Faults: folder of real drifts, run without any fault.")
+    ] = None,
+    worst: Annotated[int, typer.Option("--worst", min=0, help="Faults: name so many of the worst runs.")] = 0,
 ) -> None:
-    """Print accuracy and speed of all estimators."""
+    """Print accuracy and speed of all estimators, or what faults do to the answer."""
     if suite == "speed":
         _speed(filter_names(filters), output)
         return
@@ -35,10 +45,15 @@ def benchmark(
     from crosscomb.selection.artefact import load_artefact
     from crosscomb.training.recordings import find_places
     from crosscomb.training.suites import benchmark as suites
+    from crosscomb.training.suites.fault_campaign import Setup
 
     artefact = load_artefact(selector_file)
     if suite == "papers":
         _papers(output)
+        return
+    if suite == "faults":
+        setup = Setup(artefact, tuple(filter_names(filters)))
+        _faults(setup, selector_file, data, drift, seeds, jobs, worst, output)
         return
     beside = name_filters(
         [name for name in filter_names(filters) if name not in artefact.filter_names], artefact
@@ -55,7 +70,7 @@ def benchmark(
         with terminal.progress("filtering", suites.SIMULATED_LOGS) as advance:
             result = suites.benchmark_simulated(artefact, jobs, advance, beside)
     else:
-        raise UsageError(f"benchmark {suite}: unknown suite: take real, simulated, papers or speed")
+        raise UsageError(f"benchmark {suite}: unknown suite: take real, simulated, faults, papers or speed")
     for note in result.notes:
         terminal.warn(note)
     terminal.show_benchmark(result)
@@ -78,6 +93,41 @@ def _speed(names: list[str], output: Path | None) -> None:
     terminal.show_speeds(speeds)
     if output is not None:
         write_speeds(output, speeds)
+
+
+def _faults(
+    setup: Setup,
+    selector_file: Path | None,
+    data: Path | None,
+    drift: Path | None,
+    seeds: int,
+    jobs: int,
+    worst: int,
+    output: Path | None,
+) -> None:
+    """Put every fault into every log."""
+    from crosscomb.report import terminal
+    from crosscomb.report.faults import show_campaign, write_campaign
+    from crosscomb.training.recordings import find_places
+    from crosscomb.training.suites.fault_campaign import jobs_of, run_campaign
+
+    folders = [folder for folder in (data, drift) if folder is not None]
+    logs = sum(len(logs) for folder in folders for _, logs in find_places(folder))
+    with terminal.progress("breaking logs", len(jobs_of(seeds, ())) + logs) as advance:
+        campaign = run_campaign(setup, data, drift, seeds, jobs, advance)
+    show_campaign(campaign, worst)
+    if output is None:
+        return
+    words = [f"--selector-file {selector_file.name}"] if selector_file else []
+    words += [f"--filters {','.join(setup.filters)}"] if setup.filters else []
+    words += ["--data <folder of the real logs>"] if data else []
+    words += ["--drift <folder of the real drifts>"] if drift else []
+    words += [f"--seeds {seeds}"] if seeds != 5 else []
+    name = "-".join([selector_file.stem if selector_file else "tree", *setup.filters])
+    write_campaign(
+        output, campaign, name, " ".join(["crosscomb benchmark faults", *words, f"-o docs/{output.name}"])
+    )
+    terminal.say(f"{output}: section {name} written")
 
 
 def _papers(output: Path | None) -> None:

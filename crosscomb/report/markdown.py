@@ -79,11 +79,11 @@ def number(value: object) -> str:
     return f"{value:.3g}" if isinstance(value, float) else str(value)
 
 
-def write_section(path: Path, name: str, text: str) -> None:
+def write_section(path: Path, name: str, text: str, title: str = TITLE) -> None:
     """Put a section into a Markdown file, in the place of an earlier one of that name."""
     begin, end = f"<!-- {name}:begin -->", f"<!-- {name}:end -->"
     section = f"{begin}\n{text.strip()}\n{end}\n"
-    old = path.read_text(encoding="utf-8") if path.exists() else TITLE
+    old = path.read_text(encoding="utf-8") if path.exists() else title
     if begin in old and end in old:
         before, rest = old.split(begin, 1)
         new = before + section.rstrip("\n") + rest.split(end, 1)[1]
