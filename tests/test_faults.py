@@ -1,5 +1,6 @@
 """The campaign of faults: what each fault does to a log, what each criterion lets pass, and the command."""
 
+import shutil
 from dataclasses import replace
 
 import numpy as np
@@ -7,18 +8,12 @@ import pandas as pd
 import pytest
 
 from crosscomb.models.vehicle import load_vehicle
+from crosscomb.run.estimate import estimate_log
 from crosscomb.selection.artefact import load_artefact
 from crosscomb.signals import Signals
-from crosscomb.training.suites import fault_campaign, faults
-from crosscomb.training.suites.fault_criteria import (
-    CRITERIA,
-    NOT_JUDGED,
-    PASSED,
-    Answers,
-    Trial,
-    holds,
-    judge,
-)
+from crosscomb.training.suites import fault_campaign, fault_runs, faults
+from crosscomb.training.suites.fault_criteria import CRITERIA, NOT_JUDGED, PASSED, judge
+from crosscomb.training.suites.fault_trials import Answers, Trial, answers_of, holds
 from crosscomb.training.suites.faults import signal_faults
 
 ONSET = 12.0
@@ -115,7 +110,8 @@ def test_faults_of_stamps(log):
 def trial(lasts: float = np.inf, n: int = 1500, **columns: np.ndarray) -> Trial:
     """A trial in which nothing happens, 100 Hz, but for the columns given."""
     t = 0.01 * np.arange(n)
-    sound = Answers(0.02 * np.sin(t), np.full(n, 0.01), np.full(n, "a"), np.full(n, "ok", dtype=object))
+    words = np.full(n, "a"), np.full(n, "ok", dtype=object)
+    sound = Answers(0.02 * np.sin(t), np.full(n, 0.01), *words, np.full(n, True))
     faulty = sound._replace(**{name: values for name, values in columns.items() if name in Answers._fields})
     others = {name: values for name, values in columns.items() if name not in Answers._fields}
     return replace(
@@ -152,7 +148,7 @@ CASES = [
     ("one spike", trial(0.0, beta=off(0.3, 0, 9)), trial(0.0, beta=off(0.4, 0, 9))),
     ("one spike", trial(0.0, status=status((0, 9))), trial(0.0, status=status((0, 300)))),
     ("ten spikes", trial(1.8, status=status((0, 300)), beta=off(5.0, 0, 300)), trial(1.8)),
-    ("NaN for 1 s", trial(1.0, status=status((0, 100))), trial(1.0, status=status((1, 100)))),
+    ("NaN for 1 s", trial(1.0, status=status((0, 100))), trial(1.0, status=status((2, 100)))),
     ("bias", trial(status=status((400, 1500)), beta=off(5.0, 0, 1500)), trial(beta=off(5.0, 0, 1500))),
     ("bias", trial(beta=off(1.0, 0, 1500)), trial(status=status((700, 1500)), beta=off(5.0, 0, 1500))),
     ("slow drift", trial(status=status((900, 1500)), beta=off(5.0, 0, 1500)), trial(beta=off(5.0, 1100, 1500))),
@@ -178,8 +174,14 @@ def test_criteria(kind, good, bad):
 
 @pytest.mark.parametrize("kind", CRITERIA)
 def test_an_answer_that_is_not_finite_never_passes(kind):
-    assert "not finite" in judge(kind, trial(beta=off(np.nan, 9, 10)))
-    assert "not finite" in judge(kind, trial(beta_std=np.full(1500, np.inf)))
+    assert "not finite" in judge(kind, trial(finite=np.arange(1500) != 9))
+
+
+def test_a_filter_that_is_not_finite_is_seen(log):
+    estimate = estimate_log(log, load_vehicle("generic_compact"), load_artefact(), ["dynamic_ekf"])
+    assert answers_of(estimate).finite.all()
+    estimate.filters["dynamic_ekf"][7] = np.nan
+    assert np.flatnonzero(~answers_of(estimate).finite).tolist() == [7]
 
 
 def test_calm_driving_does_not_count():
@@ -198,10 +200,10 @@ def test_words_that_the_sound_log_has_too_are_no_flag():
 def test_a_filter_can_be_made_to_diverge():
     artefact = load_artefact()
     for name in faults.DIVERGING:
-        changed = fault_campaign.diverging(artefact, name)
+        changed = fault_runs.diverging(artefact, name)
         assert changed is not None
         assert [a.name for a, b in zip(artefact.filters, changed.filters, strict=True) if a != b] == [name]
-    assert fault_campaign.diverging(artefact, "luenberger") is None
+    assert fault_runs.diverging(artefact, "luenberger") is None
 
 
 def test_vehicle_faults_change_the_file():
@@ -215,12 +217,16 @@ def test_the_command_tells_how_often_the_answer_stands(crosscomb, data_set, tmp_
     monkeypatch.setattr(fault_campaign, "DURATION", 14.0)
     kept = tmp_path / "reliability.md"
     words = ("--seeds", 1, "--jobs", 1, "--worst", 2, "-o", kept, "--filters", "dynamic_ekf")
-    ran = crosscomb("benchmark", "faults", *words, "--drift", data_set)
+    data = tmp_path / "data"
+    shutil.copytree(data_set, data)
+    for path in sorted(data.glob("*.csv"))[2:]:
+        path.unlink()
+    ran = crosscomb("benchmark", "faults", *words, "--data", data, "--drift", data)
     assert (ran.code, ran.err) == (0, "")
     text = kept.read_text(encoding="utf-8")
     assert text.startswith("# Reliability")
-    assert "--filters dynamic_ekf --drift" in text
-    for word in ("all faults", "sign flip", "simulated, with faults", "truth inside 1.96"):
+    assert "--filters dynamic_ekf --data <folder" in text
+    for word in ("all faults", "sign flip", "simulated, with faults", "real, without", "truth inside 1.96"):
         assert word in text
         assert word in " ".join(ran.out.split())
     assert "s over 3 deg while ok)" in ran.out

@@ -11,7 +11,7 @@ from crosscomb.cli.options import FiltersOption, JobsOption, SelectorFileOption,
 from crosscomb.errors import UsageError
 
 if TYPE_CHECKING:
-    from crosscomb.training.suites.fault_campaign import Setup
+    from crosscomb.training.suites.fault_runs import Setup
 
 
 def benchmark(
@@ -45,7 +45,7 @@ def benchmark(
     from crosscomb.selection.artefact import load_artefact
     from crosscomb.training.recordings import find_places
     from crosscomb.training.suites import benchmark as suites
-    from crosscomb.training.suites.fault_campaign import Setup
+    from crosscomb.training.suites.fault_runs import Setup
 
     artefact = load_artefact(selector_file)
     if suite == "papers":

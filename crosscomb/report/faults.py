@@ -7,8 +7,8 @@ from pathlib import Path
 
 from crosscomb.report import terminal
 from crosscomb.report.markdown import markdown_table, write_section
-from crosscomb.training.suites.fault_campaign import Campaign, Figures, Outcome
 from crosscomb.training.suites.fault_criteria import CRITERIA
+from crosscomb.training.suites.fault_results import Campaign, Figures, Outcome
 from crosscomb.training.suites.faults import CHANNELS, WHEELS
 
 TITLE = (
@@ -47,6 +47,12 @@ def share_rows(campaign: Campaign) -> list[list[str]]:
     return rows
 
 
+def rule_of(kind: str) -> str:
+    """What a kind of fault must hold, in the words of its criterion."""
+    rule = CRITERIA.get(kind)
+    return (rule.__doc__ or "").splitlines()[0].rstrip(".") if rule else ""
+
+
 def channel_table(campaign: Campaign) -> tuple[list[str], list[list[str]]]:
     """Header and rows of the shares by kind and channel, simulated and real together."""
     channels = (*CHANNELS, *WHEELS)
@@ -70,16 +76,18 @@ def figure_rows(campaign: Campaign) -> list[list[str]]:
             figures for name, figures in campaign.sound.items() if (name in campaign.simulated) is simulated
         ]
     parts |= {f"drift {name}": [figures] for name, figures in campaign.drifts.items()}
-    return [[text, *_figure_cells(figures)] for text, figures in parts.items() if figures]
+    return [
+        [text, *_figure_cells(figures, "with faults" in text)] for text, figures in parts.items() if figures
+    ]
 
 
-def _figure_cells(parts: Sequence[Figures]) -> list[str]:
+def _figure_cells(parts: Sequence[Figures], with_faults: bool) -> list[str]:
     total = sum(parts, Figures())
     share = total.wrong / total.seconds if total.seconds else 0.0
     return [
         str(len(parts)), f"{total.wrong:.1f}", f"{total.seconds:.0f}", f"{share:.2%}",
         f"{total.inside / max(total.rows, 1):.3f}",
-        f"{600.0 * total.alarms / max(total.length, 1e-9):.2f}",
+        "" if with_faults else f"{600.0 * total.alarms / max(total.length, 1e-9):.2f}",
     ]  # fmt: skip
 
 
@@ -111,7 +119,9 @@ def write_campaign(path: Path, campaign: Campaign, name: str, command: str) -> N
         f"## {name}",
         f"Made by `{command}`.",
         WORDS,
-        markdown_table(SHARES_HEADER, share_rows(campaign)),
+        markdown_table(
+            [*SHARES_HEADER, "passes where"], [[*row, rule_of(row[0])] for row in share_rows(campaign)]
+        ),
         "By channel, simulated and real together:",
         markdown_table(*channel_table(campaign)),
         "Over rows with ground truth above 3 m/s, with faults from the onset on; false alarms are onsets of degraded, "

@@ -1,27 +1,17 @@
-"""What passes: criteria on the estimates of a faulty log beside those of the sound one."""
+"""What passes: a criterion for each kind of fault, on the answers to a faulty log beside those to the sound one."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 
 from crosscomb.signals import MIN_SPEED
+from crosscomb.training.suites.fault_trials import WRONG, Trial, holds
 
-FLAGS = ("degraded", "invalid", "extrapolating", "recovering", "uncertain")
-"""A row is flagged where its status holds one of these words and that of the sound log does not."""
-
-ALARMS = ("degraded", "invalid", "extrapolating")
-"""Words that are false alarms in a sound log."""
-
-WRONG = math.radians(3.0)
-"""An error beyond this [rad] must not say ok."""
-
-EXCITED_AY = 2.0
-"""Lateral acceleration [m/s^2] from which on, for a second, the driving tells of faults."""
+SAME_SAMPLE = 0.016
+"""Rows of this time [s] are of the same sample: the filters' own are 10 ms apart, and a row may fall between them."""
 
 LASTING = 0.95
 """Share of the excited rows that a flag which lasts as long as its fault is up in."""
@@ -31,87 +21,13 @@ NOT_JUDGED = "not judged"
 
 PASSED = ""
 
-
-class Answers(NamedTuple):
-    """Columns of an estimate that criteria look at, each ``(n,)``."""
-
-    beta: np.ndarray  # [rad]
-    beta_std: np.ndarray  # [rad]
-    active: np.ndarray  # str
-    status: np.ndarray  # str
-
-
-@dataclass(frozen=True)
-class Trial:
-    """A fault and what came of it: rows from the onset on that both runs answered.
-
-    Attributes
-    ----------
-    t : (n,)
-        Since the onset [s].
-    sound, faulty : Answers
-    truth : (n,)
-        Ground truth [rad], NaN where there is none.
-    vx, ay : (n,)
-        Of the sound log [m/s], [m/s^2].
-    lasts : float
-        Time from the onset to the return [s].
-    dropped : int
-        Rows that were not answered.
-    notes : tuple of str
-        What was said of the faulty log and not of the sound one.
-    """
-
-    t: np.ndarray
-    sound: Answers
-    faulty: Answers
-    truth: np.ndarray
-    vx: np.ndarray
-    ay: np.ndarray
-    lasts: float = math.inf
-    dropped: int = 0
-    notes: tuple[str, ...] = ()
-
-    @property
-    def apart(self) -> np.ndarray:
-        """Distance of both answers ``(n,) [deg]``."""
-        return np.degrees(np.abs(self.faulty.beta - self.sound.beta))
-
-    @property
-    def counted(self) -> np.ndarray:
-        """Rows ``(n,)`` with ground truth and above `MIN_SPEED`."""
-        return np.isfinite(self.truth) & (self.vx > MIN_SPEED)
-
-    @property
-    def flagged(self) -> np.ndarray:
-        """Rows ``(n,)`` that hold one of `FLAGS` which the sound log's do not."""
-        return self.newly(*FLAGS)
-
-    def newly(self, *words: str) -> np.ndarray:
-        """Rows ``(n,)`` whose status holds one of the words, and not in the sound log."""
-        rows = [holds(self.faulty.status, word) & ~holds(self.sound.status, word) for word in words]
-        return np.any(rows, axis=0)
-
-    def excited_time(self) -> tuple[np.ndarray, np.ndarray]:
-        """Which rows ``(n,)`` are of excited driving, and how much of it there was up to each [s]."""
-        strong = np.where(np.abs(self.ay) > EXCITED_AY, self.t, -math.inf)
-        excited = self.t - np.maximum.accumulate(strong) <= 1.0
-        return excited, np.cumsum(np.diff(self.t, prepend=self.t[0]) * excited)
-
-
-def holds(status: np.ndarray, word: str) -> np.ndarray:
-    """Tell which rows ``(n,)`` of a status hold a word."""
-    texts, places = np.unique(status.astype(str), return_inverse=True)
-    return np.array([word in text.split("+") for text in texts], dtype=bool)[places]
-
-
 Judge = Callable[[Trial], str]
 """Gives why a trial fails, `PASSED` or `NOT_JUDGED`."""
 
 
 def judge(kind: str, trial: Trial) -> str:
     """Judge a trial: what holds for any fault first, then what is asked of its kind."""
-    if not (np.isfinite(trial.faulty.beta).all() and np.isfinite(trial.faulty.beta_std).all()):
+    if not trial.faulty.finite.all():
         return "an answer is not finite"
     return CRITERIA[kind](trial)
 
@@ -149,10 +65,12 @@ def all_of(*failures: str) -> str:
 
 
 def brief_dropout(trial: Trial) -> str:
+    """Within 0.5 deg of the sound run."""
     return close(trial, 0.5)
 
 
 def long_dropout(trial: Trial) -> str:
+    """Flagged within 10 samples; within 0.5 deg of the sound run from 2 s after the return on."""
     return all_of(flagged_in(trial, 10), close(trial, 0.5, trial.lasts + 2.0))
 
 
@@ -168,20 +86,24 @@ def lasting_dropout(trial: Trial) -> str:
 
 
 def stuck(trial: Trial) -> str:
+    """Flagged within 100 samples."""
     return flagged_in(trial, 100)
 
 
 def one_spike(trial: Trial) -> str:
+    """Within 0.35 deg of the sound run, and no flag from 2 s on."""
     return all_of(close(trial, 0.35), unflagged(trial, 2.0))
 
 
 def ten_spikes(trial: Trial) -> str:
+    """Flagged within 10 samples; 2 s after the last within 0.35 deg of the sound run, and no flag."""
     back = trial.lasts + 2.0
     return all_of(flagged_in(trial, 10), close(trial, 0.35, back), unflagged(trial, back))
 
 
 def no_number(trial: Trial) -> str:
-    return flagged_in(trial, 1)
+    """Flagged on the same sample."""
+    return flagged_in(trial, max(int(np.searchsorted(trial.t, SAME_SAMPLE)), 1))
 
 
 def told_or_inside(trial: Trial, seconds: float) -> str:
@@ -207,15 +129,17 @@ def told_or_inside(trial: Trial, seconds: float) -> str:
 
 
 def steady_error(trial: Trial) -> str:
+    """Flagged within 5 s of excited driving, or the error inside 3 beta_std."""
     return told_or_inside(trial, 5.0)
 
 
 def slow_error(trial: Trial) -> str:
+    """Flagged within 10 s of excited driving, or the error inside 3 beta_std."""
     return told_or_inside(trial, 10.0)
 
 
 def noisy(trial: Trial) -> str:
-    """Within 1.5 deg, and at most 2 switches in any second."""
+    """Within 1.5 deg of the sound run, and at most 2 switches in any second."""
     switched = np.append(False, trial.faulty.active[1:] != trial.faulty.active[:-1])
     times = trial.t[switched & (trial.t <= trial.lasts + 1.0)]
     most = max((int(np.sum((times >= t) & (times < t + 1.0))) for t in times), default=0)
@@ -223,7 +147,7 @@ def noisy(trial: Trial) -> str:
 
 
 def wrong_sign(trial: Trial) -> str:
-    """Be flagged after 2 s of excited driving, and in the excited rows from there on."""
+    """Flagged after 2 s of excited driving, and in 95 % of the excited rows from there on."""
     excited, clock = trial.excited_time()
     due = excited & (clock > 2.0)
     if not due.any():
@@ -233,11 +157,12 @@ def wrong_sign(trial: Trial) -> str:
 
 
 def jittering(trial: Trial) -> str:
+    """Within 0.2 deg of the sound run."""
     return close(trial, 0.2)
 
 
 def dropped_row(trial: Trial) -> str:
-    """One row is dropped, and counted with a note."""
+    """One row dropped, and counted in a note."""
     return all_of(
         PASSED if trial.dropped == 1 else f"{trial.dropped} rows dropped",
         PASSED if trial.notes else "no note",
@@ -245,22 +170,23 @@ def dropped_row(trial: Trial) -> str:
 
 
 def gap(trial: Trial) -> str:
+    """Flagged within 10 samples."""
     return flagged_in(trial, 10)
 
 
 def banked(trial: Trial) -> str:
-    """Within 1.5 deg or flagged in 3 s."""
+    """Within 1.5 deg of the sound run, or flagged in 3 s."""
     return PASSED if trial.flagged[trial.t <= 3.0].any() else close(trial, 1.5)
 
 
 def diverged(trial: Trial) -> str:
-    """Within 1.5 deg of the sound run wherever it is not flagged, from 3 s on."""
+    """Within 1.5 deg of the sound run, or flagged, at all rows from 3 s on."""
     apart = np.where((trial.t > 3.0) & ~trial.flagged, trial.apart, 0.0)
     return f"{apart.max():.1f} deg off without a flag" if apart.max() > 1.5 else PASSED
 
 
 def standing(trial: Trial) -> str:
-    """Low speed is told of at all rows of a standing car; `vx` is that of the log as it was driven."""
+    """Low speed at all rows of a standing car."""
     still = np.abs(trial.vx) < 1.0
     if not still.any():
         return NOT_JUDGED
@@ -269,7 +195,7 @@ def standing(trial: Trial) -> str:
 
 
 def reversing(trial: Trial, words: tuple[str, ...] = ("reverse",), after: float = 0.5) -> str:
-    """Tell of a car that has moved backwards for a while [s]; `vx` has its sign here."""
+    """Reverse in 95 % of the rows after 0.5 s of it."""
     forward = np.maximum.accumulate(np.where(trial.vx > -0.5, trial.t, trial.t[0]))
     due = trial.t - forward > after
     if not due.any():
@@ -280,6 +206,7 @@ def reversing(trial: Trial, words: tuple[str, ...] = ("reverse",), after: float 
 
 
 def unsigned_reversing(trial: Trial) -> str:
+    """Reverse or invalid after 3 s of it."""
     return reversing(trial, ("reverse", "invalid"), 3.0)
 
 

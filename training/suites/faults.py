@@ -37,7 +37,7 @@ SPIKES = {
 }
 """What a spike adds [SI]."""
 
-ABSURD = {"ax": 1e154, "yaw_rate": 571.9, "vx": 655.35}
+ABSURD = {"ax": 1e154, "ay": 1e154, "yaw_rate": 571.9, "steer": 57.3, "vx": 655.35}
 """Values that a broken frame on a bus, or 0xFFFF with its scale, comes to [SI]."""
 
 TEN, TEN_APART = 10, 0.2
@@ -277,10 +277,9 @@ def _missing_or_wild(channel: str) -> list[Fault]:
 def _of_channel(channel: str) -> list[Fault]:
     """Faults of a channel that the filters live on."""
     of, size = partial(_on, channel), BIASES[channel]
-    absurd = [of("absurd value", once, 0.0, value=ABSURD[channel])] if channel in ABSURD else []
     return [
         *_missing_or_wild(channel),
-        *absurd,
+        of("absurd value", once, 0.0, value=ABSURD[channel]),
         of("NaN for 1 s", put, 1.0, value=math.nan, lasts=1.0),
         of("infinity for 1 s", put, 1.0, value=math.inf, lasts=1.0),
         of("bias", shift, math.inf, size=size),
