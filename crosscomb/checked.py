@@ -7,24 +7,33 @@ import tomllib
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Generic, Literal, TypeVar
+from typing import Annotated, Any, Generic, Literal, TypeVar
 
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from crosscomb.errors import UsageError
+from crosscomb.errors import UsageError, shown
 from crosscomb.files import read_bytes
+
+MOST_BYTES = {"TOML": 1 << 18, "JSON": 1 << 28}
+"""So large may a file be."""
+
+MOST_DOTS = 200
+"""In a line of TOML: `tomllib` takes a time that grows with the square of the parts of a key, hours for a megabyte."""
+
+LARGEST = 3.4028234663852886e38
+"""Largest number of single precision, in which learned things are evaluated."""
+
+Finite = Annotated[float, Field(ge=-LARGEST, le=LARGEST)]
+"""A number of a learned thing."""
+
+Index = Annotated[int, Field(ge=-1, lt=2**31)]
+"""A place in a list; -1 is none."""
 
 
 class Record(BaseModel):
-    """What a checked file holds: never changed, and no key is unknown."""
+    """What a checked file holds: never changed, no key is unknown, numbers are finite, and nothing else is a number."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-
-class FiniteRecord(Record):
-    """A record whose numbers are all finite."""
-
-    model_config = ConfigDict(allow_inf_nan=False)
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
 
 
 AnyRecord = TypeVar("AnyRecord", bound=Record)
@@ -68,7 +77,7 @@ def read_checked(path: str | Path, kind: FileKind[AnyRecord]) -> AnyRecord:
     UsageError
         The file is missing, no file, no UTF-8 text, or not what it should be.
     """
-    data = read_bytes(Path(path), kind.name, kind.origin)
+    data = read_bytes(Path(path), MOST_BYTES[kind.syntax], kind.name, kind.origin)
     try:
         text = data.decode("utf-8")
     except UnicodeDecodeError:
@@ -83,10 +92,12 @@ def parse_checked(text: str, source: str, kind: FileKind[AnyRecord]) -> AnyRecor
     ------
     UsageError
     """
+    if kind.syntax == "TOML" and any(line.count(".") > MOST_DOTS for line in text.splitlines()):
+        raise _fault(kind, f"{source}: no {kind.name} has a line of more than {MOST_DOTS} dots")
     try:
         content: Any = tomllib.loads(text) if kind.syntax == "TOML" else json.loads(text)
     except tomllib.TOMLDecodeError as error:
-        raise _fault(kind, f"{source}: no valid TOML: {error}") from None
+        raise _fault(kind, f"{source}: no valid TOML: {str(error)[:200]}") from None
     except json.JSONDecodeError as error:
         raise _fault(kind, f"{source}: line {error.lineno}: no valid JSON") from None
     except (RecursionError, ValueError):  # nested too deeply, or a number of thousands of digits
@@ -94,7 +105,7 @@ def parse_checked(text: str, source: str, kind: FileKind[AnyRecord]) -> AnyRecor
     if kind.version is not None:
         version = content.get("schema_version") if isinstance(content, dict) else None
         if version != kind.version:
-            found = f"schema version {version!r} of the {kind.name}, this crosscomb reads {kind.version}"
+            found = f"schema version {shown(version)} of the {kind.name}, this crosscomb reads {kind.version}"
             raise UsageError(f"{source}: {found}: {kind.mend} with this version")
     try:
         record = kind.record.model_validate(content)
@@ -115,12 +126,12 @@ def _fault(kind: FileKind[AnyRecord], message: str) -> UsageError:
 def _first_fault(error: ValidationError) -> str:
     """Say the first fault of a checked file in one line."""
     first = error.errors()[0]
-    key = ".".join(str(part) for part in first["loc"])
+    key = ".".join(str(part)[:80] for part in first["loc"])
     if first["type"] == "extra_forbidden":
         return f"unknown key {key}: delete it or correct its spelling"
     if first["type"] == "missing":
         return f"key {key} is missing: add it"
     message = first["msg"].removeprefix("Value error, ")
     # A table or a list is many lines long, and the message says what is wrong in it.
-    found = "" if isinstance(first["input"], dict | list) else f" (found {first['input']!r})"
+    found = "" if isinstance(first["input"], dict | list) else f" (found {shown(first['input'])})"
     return f"{key}: {message}{found}" if key else message

@@ -6,6 +6,7 @@ import hashlib
 import json
 import os
 import platform
+import stat
 import tempfile
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
@@ -25,9 +26,9 @@ def refuse_overwriting(inputs: Iterable[Path], outputs: Iterable[Path]) -> None:
     ------
     UsageError
     """
-    written = {path.resolve() for path in outputs}
+    written = {os.path.realpath(path) for path in outputs}
     for path in inputs:
-        if path.resolve() in written:
+        if os.path.realpath(path) in written:
             raise UsageError(f"{path}: would be overwritten by this run: let it write into another folder")
 
 
@@ -45,11 +46,14 @@ def open_file(path: Path, kind: str = "file", origin: str = "check the name") ->
     Raises
     ------
     UsageError
-        It is missing, a folder, or must not be read.
+        It is missing, a folder, a device or a pipe, or must not be read.
     """
     try:
+        mode = path.stat().st_mode
+        if not stat.S_ISREG(mode) and not stat.S_ISDIR(mode):  # reading may never end, nor even begin
+            raise UsageError(f"{path}: is a device or a pipe: name a {kind} on the disk")
         return path.open("rb")
-    except FileNotFoundError:
+    except (FileNotFoundError, ValueError):  # a name with a zero byte is none
         raise UsageError(f"{path}: no such {kind}: {origin}") from None
     except OSError as error:
         if path.is_dir():
@@ -57,10 +61,13 @@ def open_file(path: Path, kind: str = "file", origin: str = "check the name") ->
         raise UsageError(f"{path}: cannot be read ({error.strerror}): check its permissions") from None
 
 
-def read_bytes(path: Path, kind: str = "file", origin: str = "check the name") -> bytes:
-    """Read a file whole; as `open_file`."""
+def read_bytes(path: Path, most: int, kind: str = "file", origin: str = "check the name") -> bytes:
+    """Read a file whole, if it has at most so many bytes; as `open_file`."""
     with open_file(path, kind, origin) as file:
-        return file.read()
+        data = file.read(most + 1)
+    if len(data) > most:
+        raise UsageError(f"{path}: has more than {most} bytes, which no {kind} has: check the name")
+    return data
 
 
 @contextmanager
@@ -100,7 +107,7 @@ def write_file(path: Path, write: Callable[[Path], object]) -> None:
 
 def write_text(path: Path, text: str) -> None:
     """Write a text file whole or not at all, with the same bytes on every system."""
-    write_file(path, lambda temporary: temporary.write_bytes(text.encode("utf-8")))
+    write_file(path, lambda temporary: temporary.write_bytes(text.encode("utf-8", "backslashreplace")))
 
 
 def file_hash(path: Path) -> str:
@@ -122,7 +129,7 @@ def versions() -> dict[str, str]:
 
 def existing_files(*paths: str | Path | None) -> list[Path]:
     """Those that are files: a vehicle may also be the name of a shipped one."""
-    return [Path(path) for path in paths if path is not None and Path(path).is_file()]
+    return [Path(path) for path in paths if path is not None and os.path.isfile(path)]
 
 
 def run_record(command: str, settings: dict[str, Any], inputs: Iterable[Path]) -> dict[str, Any]:

@@ -7,7 +7,8 @@ from dataclasses import dataclass, fields
 from importlib import import_module
 from typing import Any
 
-from crosscomb.errors import UsageError
+from crosscomb.checked import LARGEST
+from crosscomb.errors import UsageError, shown
 from crosscomb.filters.base import KernelFilter
 from crosscomb.models.vehicle import Vehicle
 
@@ -296,17 +297,17 @@ def _checked(where: str, key: str, value: Any, default: Any, cls: type[KernelFil
     if isinstance(default, str):
         words = cls.choices.get(key, ())
         if value not in words:
-            raise UsageError(f"{where}: {value!r} is unknown: take one of {', '.join(words)}")
+            raise UsageError(f"{where}: {shown(value)} is unknown: take one of {', '.join(words)}")
         return value
     if isinstance(value, bool) or not isinstance(value, int | float):
-        raise UsageError(f"{where}: {value!r} is no number")
+        raise UsageError(f"{where}: {shown(value)} is no number")
     if isinstance(default, int):
         least, most = (0, MOST_SEED) if key == "seed" else (1, MOST_PARTICLES)
         if not least <= value <= most or int(value) != value:
-            raise UsageError(f"{where}: {value!r} must be a whole number from {least} to {most}")
+            raise UsageError(f"{where}: {shown(value)} must be a whole number from {least} to {most}")
         return int(value)
-    if not 0.0 <= value < float("inf"):
-        raise UsageError(f"{where}: {value!r} must be finite and not negative")
+    if not 0.0 <= value <= LARGEST:
+        raise UsageError(f"{where}: {shown(value)} must be finite and not negative")
     if key in cls.divisors and value < LEAST_DIVISOR:
         raise UsageError(f"{where}: {value!r} must be at least {LEAST_DIVISOR:g}: the filter divides by it")
     return float(value)

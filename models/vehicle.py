@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Mapping
 from importlib import resources
 from pathlib import Path
@@ -10,13 +11,13 @@ from typing import Literal
 
 from pydantic import Field, model_validator
 
-from crosscomb.checked import FileKind, FiniteRecord, parse_checked, read_checked
+from crosscomb.checked import FileKind, Record, parse_checked, read_checked
 from crosscomb.errors import UsageError
 
-Positive = Field(gt=0.0, allow_inf_nan=False)
+Positive = Field(gt=0.0)
 
 
-class Tyre(FiniteRecord):
+class Tyre(Record):
     """Tyre law and the shape of its curve; the stiffness and friction stand in the vehicle itself.
 
     `shape` and `curvature` are C and E of the Magic Formula.
@@ -34,19 +35,21 @@ class Tyre(FiniteRecord):
     )
 
 
-class Plant(FiniteRecord):
+class Plant(Record):
     """What only the simulation needs."""
 
     drive: Literal["front", "rear", "all"] = "front"
     drive_share_front: float = Field(default=0.45, gt=0.0, lt=1.0, description="of the torque, drive = all")
-    power: float = Field(default=90e3, gt=0.0, description="largest drive power [W]")
+    power: float = Field(default=90e3, gt=0.0, le=1e7, description="largest drive power [W]")
     top_speed: float = Field(default=50.0, ge=5.0, le=100.0, description="never passed in simulation [m/s]")
     differential_lock: float = Field(default=5.0, ge=0.0, le=150.0, description="per driven axle [N m s/rad]")
     traction_control: bool = Field(default=True, description="drive lets go of a wheel that spins")
     brake_share_front: float = Field(default=0.75, ge=0.0, lt=1.0)
     anti_lock: bool = Field(default=True, description="brakes let go of a wheel that slips too much")
-    wheel_inertia: float = Field(default=1.2, gt=0.0, description="spin inertia of one wheel [kg m^2]")
-    drag_area: float = Field(default=0.65, ge=0.0, description="drag coefficient times area [m^2]")
+    wheel_inertia: float = Field(
+        default=1.2, gt=0.0, le=1e3, description="spin inertia of one wheel [kg m^2]"
+    )
+    drag_area: float = Field(default=0.65, ge=0.0, le=100.0, description="drag coefficient times area [m^2]")
     lift_area: float = Field(default=0.1, ge=-10.0, le=2.0, description="the same for lift [m^2]")
     roll_share_front: float = Field(default=0.55, gt=0.0, lt=1.0, description="of the roll stiffness")
     pitch_gradient: float = Field(default=0.003, ge=0.0, lt=0.1, description="[rad per m/s^2]")
@@ -62,7 +65,7 @@ class Plant(FiniteRecord):
     roll_steer_rear: float = Field(default=0.0, ge=-1.0, le=1.0, description="into the turn [rad/rad]")
 
 
-class Vehicle(FiniteRecord):
+class Vehicle(Record):
     """One car in SI units, as read from a vehicle file (TOML)."""
 
     name: str = Field(min_length=1)
@@ -129,7 +132,7 @@ def load_vehicle(path: str | Path) -> Vehicle:
         The file is missing or no TOML, a key is unknown or missing, or a value is out of range.
     """
     path = Path(path)
-    if path.suffix == "" and not path.exists():
+    if path.suffix == "" and not os.path.exists(path):
         return _load_shipped(str(path))
     return read_checked(path, FILE)
 

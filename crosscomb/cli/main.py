@@ -17,7 +17,7 @@ from crosscomb.cli.identify import identify
 from crosscomb.cli.simulate import simulate, vehicle
 from crosscomb.cli.train import train
 from crosscomb.cli.tune import tune
-from crosscomb.errors import UsageError
+from crosscomb.errors import UsageError, printable
 
 app = typer.Typer(
     add_completion=False,
@@ -37,8 +37,10 @@ def main() -> None:
     except UsageError as error:
         from crosscomb.report.terminal import as_flags
 
-        # One line, whatever a file or column is called.
-        print(f"error: {' '.join(as_flags(str(error)).split())}", file=sys.stderr)
+        _say_error(as_flags(str(error)))
+        sys.exit(2)
+    except OSError as error:
+        _say_error(f"{error.filename or 'output'}: {error.strerror or error}")
         sys.exit(2)
     except (typer.Abort, KeyboardInterrupt):
         print("error: interrupted", file=sys.stderr)
@@ -47,9 +49,14 @@ def main() -> None:
         # typer brings its own copy of click in some versions: its errors are known by what they can do
         if not hasattr(error, "format_message"):
             raise
-        print(f"error: {error.format_message()} (see --help)", file=sys.stderr)
+        _say_error(f"{error.format_message()} (see --help)")
         sys.exit(2)
     sys.exit(code if isinstance(code, int) else 0)
+
+
+def _say_error(text: str) -> None:
+    """Print one line, whatever a file or column is called."""
+    print(f"error: {printable(' '.join(text.split()))}", file=sys.stderr)
 
 
 def _version(asked: bool) -> None:

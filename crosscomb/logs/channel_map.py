@@ -6,13 +6,13 @@ import difflib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import pandas as pd
-from pydantic import Field, model_validator
+from pydantic import BeforeValidator, Field, model_validator
 
-from crosscomb.checked import FileKind, FiniteRecord, read_checked
+from crosscomb.checked import FileKind, Record, read_checked
 from crosscomb.errors import UsageError
 from crosscomb.logs.grid import MAX_AGE
 from crosscomb.logs.prepare import Line, next_slopes
@@ -51,32 +51,43 @@ DERIVATIVE_WINDOW = 0.05
 """Length of the line fitted to the yaw rate for the yaw acceleration [s]."""
 
 
-class Channel(FiniteRecord):
+def _no_truth_value(value: Any) -> Any:
+    """Python takes true as 1."""
+    if isinstance(value, bool):
+        raise ValueError("must be 1 or -1")
+    return value
+
+
+class Channel(Record):
     """How one of our columns is made: ``sign * scale * unit factor * raw - offset``, late by ``delay``."""
 
     column: str | None = Field(
         default=None, min_length=1, description="its name in the log; None: our own name"
     )
     unit: str | None = Field(default=None, description="unit in the log; None: SI")
-    sign: Literal[1, -1] = 1
+    sign: Annotated[Literal[1, -1], BeforeValidator(_no_truth_value)] = 1
     scale: float = Field(default=1.0, gt=0.0)
     offset: float = Field(default=0.0, description="subtracted, in the SI unit and our sign")
     delay: float = Field(default=0.0, ge=0.0, le=1.0, description="how late the channel is [s]")
 
 
-class Accelerometer(FiniteRecord):
+class Accelerometer(Record):
     """Where the accelerometer sits: ``(x, y) [m]`` from the centre of gravity, x forward, y left."""
 
-    position: tuple[float, float]
+    position: tuple[float, float] = Field(strict=False)  # files have lists
 
 
-class Reader(FiniteRecord):
+class Reader(Record):
     """How the text is laid out; what is not given is recognised."""
 
-    separator: str | None = Field(default=None, min_length=1, max_length=1)
+    separator: str | None = Field(default=None, pattern=r"^[\t !#$%&'*,/:;<=>?@\\^_`|~]$")
     decimal: Literal[".", ","] | None = None
-    header_row: int | None = Field(default=None, ge=1, description="row of the column names, counted from 1")
-    first_data_row: int | None = Field(default=None, ge=2, description="skips what stands below the names")
+    header_row: int | None = Field(
+        default=None, ge=1, le=10**9, description="row of the column names, counted from 1"
+    )
+    first_data_row: int | None = Field(
+        default=None, ge=2, le=10**9, description="skips what stands below the names"
+    )
     comment: str = Field(default="#", max_length=8, description="lines that begin with it are skipped")
     time_from_zero: bool = Field(default=False, description="count t from the first row")
 
@@ -87,7 +98,7 @@ class Reader(FiniteRecord):
         return self
 
 
-class ChannelMap(FiniteRecord):
+class ChannelMap(Record):
     """A checked channel map.
 
     Columns that it does not name are taken under their own names, as they are; a column that it gives to one

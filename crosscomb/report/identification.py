@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -11,10 +10,11 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from crosscomb.files import run_record, write_file, write_json, write_text
+from crosscomb.files import run_record, write_json, write_text
 from crosscomb.logs.channel_map import ChannelMap
 from crosscomb.models.magic_formula import magic_formula
 from crosscomb.models.tyres import rational_tyre
+from crosscomb.report.pictures import save_figure
 from crosscomb.training.identification.files import fitted_map, fitted_text, map_text, rms, table_csv
 from crosscomb.training.identification.handling import shown_motion
 from crosscomb.training.identification.identify import Identification
@@ -58,8 +58,8 @@ def write_identification(
     write_text(path, fitted_text(result))
     write_text(map_file, map_text(fitted_map(result, base)))
     write_text(table_file, table_csv(result))
-    write_file(motion_file, partial(motion_figure(result).savefig, dpi=110))
-    write_file(tyre_file, partial(tyre_figure(result).savefig, dpi=110))
+    save_figure(motion_figure(result), motion_file)
+    save_figure(tyre_figure(result), tyre_file)
     write_json(record_file, run_record("identify", settings, inputs))
 
 

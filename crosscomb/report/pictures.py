@@ -11,7 +11,9 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
+from matplotlib.text import Text
 
+from crosscomb.errors import printable
 from crosscomb.files import write_file
 from crosscomb.report.markdown import row_shares
 from crosscomb.run.estimate import LogEstimate
@@ -136,8 +138,11 @@ def confusion_figure(confusion: np.ndarray, names: Sequence[str]) -> Figure:
 
 
 def as_png(figure: Figure) -> bytes:
-    """Picture as PNG, the same bytes each time."""
+    """Picture as PNG, the same bytes each time; names in it are shown as they are, not as formulas."""
     buffer = io.BytesIO()
+    for text in figure.findobj(Text):
+        text.set_parse_math(False)
+        text.set_text(printable(text.get_text(), "\n"))
     figure.savefig(buffer, dpi=110, metadata={"Software": None})
     return buffer.getvalue()
 

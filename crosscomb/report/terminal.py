@@ -13,6 +13,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from crosscomb.errors import printable
 from crosscomb.report.markdown import (
     SPEED_HEADER,
     WIDE,
@@ -57,12 +58,12 @@ def as_flags(message: str) -> str:
 
 def say(text: str) -> None:
     """Print a line."""
-    console.print(as_flags(text))
+    console.print(printable(as_flags(text), "\n"))
 
 
 def warn(text: str) -> None:
     """Print a warning to the error stream."""
-    errors.print(f"warning: {as_flags(text)}")
+    errors.print(f"warning: {printable(as_flags(text))}")
 
 
 @contextmanager
@@ -84,11 +85,11 @@ def progress(text: str, total: int) -> Iterator[Callable[[], None]]:
 
 def show(title: str, header: Sequence[str], rows: Sequence[Sequence[str]], left: int = 1) -> None:
     """Print a table; the first `left` columns are words, the others numbers."""
-    table = Table(title=title, title_justify="left", title_style="bold")
+    table = Table(title=printable(title), title_justify="left", title_style="bold")
     for i, name in enumerate(header):
-        table.add_column(name, justify="left" if i < left else "right", overflow="fold")
+        table.add_column(printable(name), justify="left" if i < left else "right", overflow="fold")
     for row in rows:
-        table.add_row(*row)
+        table.add_row(*map(printable, row))
     console.print(table)
 
 

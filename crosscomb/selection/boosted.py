@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 from functools import cached_property
-from typing import Annotated, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 from pydantic import Field, model_validator
 
-from crosscomb.checked import Record
+from crosscomb.checked import LARGEST, Finite, Index, Record
 from crosscomb.models.compiled import allocating
-
-Finite = Annotated[float, Field(allow_inf_nan=False)]
 
 
 class Grove(NamedTuple):
@@ -47,11 +45,11 @@ class Boosted(Record):
 
     kind: Literal["boosted"] = "boosted"
     baseline: list[Finite] = Field(min_length=1)
-    roots: list[int]
-    feature: list[int]
+    roots: list[Index]
+    feature: list[Index]
     threshold: list[Finite]
-    left: list[int]
-    right: list[int]
+    left: list[Index]
+    right: list[Index]
     value: list[Finite]
 
     @model_validator(mode="after")
@@ -68,7 +66,14 @@ class Boosted(Record):
             # Later than the parent: no walk can go round in circles.
             elif self.feature[node] < 0 or not all(node < child < nodes for child in children):
                 raise ValueError(f"node {node} of the boosted trees has broken child indices {children}")
+        if not self.largest <= LARGEST:
+            raise ValueError("the values of the boosted trees add up to more than a number holds")
         return self
+
+    @property
+    def largest(self) -> float:
+        """No output is larger than this, with either sign."""
+        return max(map(abs, self.baseline)) + len(self.roots) * max(map(abs, self.value), default=0.0)
 
     @property
     def n_features(self) -> int:

@@ -13,9 +13,8 @@ from typing import NamedTuple
 import numpy as np
 from pydantic import Field, model_validator
 
-from crosscomb.checked import Record
+from crosscomb.checked import Finite, Record
 from crosscomb.models.compiled import allocating
-from crosscomb.selection.boosted import Finite
 from crosscomb.selection.network import Network, Scratch, Weights, make_scratch, network_at
 from crosscomb.selection.trust import Trust
 

@@ -8,9 +8,9 @@ from typing import NamedTuple
 import numpy as np
 from pydantic import Field, model_validator
 
-from crosscomb.checked import Record
+from crosscomb.checked import LARGEST, Finite, Record
 from crosscomb.models.compiled import allocating
-from crosscomb.selection.boosted import Boosted, Finite, Grove, boosted_at
+from crosscomb.selection.boosted import Boosted, Grove, boosted_at
 
 FAR = np.float32(5.0)
 """An input counts as no further off its mean than this many standard deviations."""
@@ -75,8 +75,8 @@ class Network(Record):
             raise ValueError("the network asks for a feature that is none")
         if any(not -1 <= column < 2**31 for column in self.relative):
             raise ValueError("the network takes off a feature that is none")
-        if any(not scale > 0.0 for scale in self.scale):
-            raise ValueError("a scale of the network is not positive")
+        if any(not 1.0 / LARGEST <= scale <= LARGEST / 4.0 for scale in self.scale):
+            raise ValueError("a scale of the network is not positive, or too small or large")
         if self.trees is not None and (len(self.trees.baseline) != 1 or self.trees.n_features > inputs):
             raise ValueError("the trees beside the network do not fit its inputs")
         one = self.members[0]
@@ -86,6 +86,10 @@ class Network(Record):
             lengths = (len(member.first_bias), len(member.second_bias), len(member.output))
             if lengths != (len(one.first_bias), len(one.second_bias), len(one.second_bias)):
                 raise ValueError("the layers of the network do not fit each other")
+        if not self.unit * max(map(_largest, self.members)) <= LARGEST:
+            raise ValueError("the weights of the network are so large that its answers overflow")
+        if self.trees is not None and not self.unit * self.trees.largest <= LARGEST:
+            raise ValueError("the trees beside the network are so large that its answers overflow")
         return self
 
     @property
@@ -120,6 +124,21 @@ class Network(Record):
         out = np.empty(len(features))
         _run(self.weights, make_scratch(self.weights), np.ascontiguousarray(features, dtype=np.float32), out)
         return out
+
+
+def _largest(member: Member) -> float:
+    """No value inside a network is larger than this, with either sign; infinite where one may overflow."""
+    reach = np.full(len(member.first), float(FAR))
+    peaks = []
+    for weights, bias in (
+        (member.first, member.first_bias),
+        (member.second, member.second_bias),
+        ([[weight] for weight in member.output], [member.output_bias]),
+    ):
+        reach = np.abs(bias) + reach @ np.abs(np.array(weights).reshape(len(reach), len(bias)))
+        peaks.append(reach.max(initial=0.0))
+    largest = float(max(peaks))
+    return largest if largest <= LARGEST else float("inf")
 
 
 def _require_shape(name: str, weights: list[list[float]], rows: int, columns: int) -> None:

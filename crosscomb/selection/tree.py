@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Literal
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import model_validator
 
-from crosscomb.checked import Record
+from crosscomb.checked import Finite, Index, Record
 from crosscomb.models.compiled import allocating
-
-Finite = Annotated[float, Field(allow_inf_nan=False)]
 
 
 class Tree(Record):
@@ -36,10 +34,10 @@ class Tree(Record):
     kind: Literal["tree"] = "tree"
     feature: list[int]
     threshold: list[Finite]
-    left: list[int]
-    right: list[int]
+    left: list[Index]
+    right: list[Index]
     shares: list[list[Finite]]
-    picks: list[int]
+    picks: list[Index]
     lowest: list[Finite]
     highest: list[Finite]
 
