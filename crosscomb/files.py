@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import json
 import os
 import platform
+import secrets
+import shutil
 import stat
-import tempfile
+import sys
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -70,6 +73,42 @@ def read_bytes(path: Path, most: int, kind: str = "file", origin: str = "check t
     return data
 
 
+_unfinished: set[Path] = set()
+"""Temporary files and folders of this process."""
+
+
+def remove_unfinished() -> None:
+    """Remove all temporary files and folders of this process: it was stopped."""
+    for path in list(_unfinished):
+        _remove(path)
+
+
+def _remove(path: Path) -> None:
+    if path.is_dir():
+        shutil.rmtree(path, ignore_errors=True)
+    else:
+        with suppress(OSError):
+            path.unlink(missing_ok=True)
+    _unfinished.discard(path)
+
+
+@contextmanager
+def _unfinished_beside(path: Path, suffix: str = "") -> Iterator[Path]:
+    """Give a name in the folder of `path`, which is made; what stands there at the end is removed."""
+    temporary = path.parent / f".writing-{secrets.token_hex(6)}{suffix}"
+    _unfinished.add(temporary)  # before it is there: a signal may come at any time
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        yield temporary
+    except OSError as error:
+        shown = Path(*(part for part in path.parts if not part.startswith(".writing-")))
+        raise UsageError(
+            f"{shown}: cannot be written ({error.strerror}): choose another folder, or make room"
+        ) from None
+    finally:
+        _remove(temporary)
+
+
 @contextmanager
 def writing(path: Path) -> Iterator[Path]:
     """Give a temporary file beside `path` to be filled, then rename it: no half-written file is ever seen.
@@ -77,26 +116,90 @@ def writing(path: Path) -> Iterator[Path]:
     Raises
     ------
     UsageError
-        The folder cannot be made or written.
+        The folder cannot be made or written, or the disk is full.
     """
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        # The suffix stays: writers choose their format by it.
-        handle, name = tempfile.mkstemp(
-            dir=path.parent, prefix=".writing-", suffix="".join(path.suffixes[-2:])
-        )
-    except OSError as error:
-        raise UsageError(f"{path}: cannot be written ({error.strerror}): choose another folder") from None
-    os.close(handle)
-    temporary = Path(name)
-    try:
+    # The suffix stays: writers choose their format by it.
+    with _unfinished_beside(path, "".join(path.suffixes[-2:])) as temporary:
+        temporary.touch(0o644, exist_ok=False)
         yield temporary
-        temporary.chmod(0o644)
         temporary.replace(path)
+
+
+@contextmanager
+def writing_together(folder: Path) -> Iterator[Path]:
+    """Give a temporary folder for files that belong in `folder`: they appear there all at the end, or none does.
+
+    Raises
+    ------
+    UsageError
+        As in `writing`.
+    """
+    with _unfinished_beside(folder / "outputs") as temporary:
+        temporary.mkdir()
+        yield temporary
+        for file in sorted(temporary.iterdir()):
+            file.replace(folder / file.name)
+
+
+@contextmanager
+def locked(folder: Path, name: str = "") -> Iterator[None]:
+    """Keep other runs from writing the same outputs in a folder; the lock of a process that died counts no more.
+
+    Parameters
+    ----------
+    folder : Path
+        Made when missing.
+    name : str
+        Of what is locked, such as a log; else it is the whole folder.
+
+    Raises
+    ------
+    UsageError
+        Another run holds the lock, or the folder cannot be made or written.
+    """
+    path = folder / f".{name or 'crosscomb'}.lock"
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        file = _lock(path)
     except OSError as error:
-        raise UsageError(f"{path}: cannot be written ({error.strerror})") from None
+        raise UsageError(f"{folder}: cannot be written ({error.strerror}): choose another folder") from None
+    if file is None:
+        raise UsageError(
+            f"{folder}: another run writes {name or 'its outputs'} there now: wait for it, or choose another folder"
+        )
+    try:
+        yield
     finally:
-        temporary.unlink(missing_ok=True)
+        if os.name == "posix":  # while it is held: a run that opened it meanwhile sees that it is gone
+            path.unlink(missing_ok=True)
+        file.close()
+        if os.name != "posix":
+            with suppress(OSError):
+                path.unlink(missing_ok=True)
+
+
+def _lock(path: Path) -> BinaryIO | None:
+    """Open and lock a file; None where another process holds it."""
+    while True:
+        file = path.open("ab")
+        try:
+            if sys.platform == "win32":
+                import msvcrt
+
+                msvcrt.locking(file.fileno(), msvcrt.LK_NBLCK, 1)
+            else:
+                import fcntl
+
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError as error:
+            if error.errno in (errno.EACCES, errno.EAGAIN, errno.EDEADLK):
+                file.close()
+                return None
+            return file  # a file system without locks
+        with suppress(FileNotFoundError):
+            if os.path.samestat(os.fstat(file.fileno()), path.stat()):
+                return file
+        file.close()  # the run that held it has just removed it
 
 
 def write_file(path: Path, write: Callable[[Path], object]) -> None:

@@ -453,7 +453,7 @@ def test_a_broken_log_is_named_before_anything_is_run(
     fill(tmp_path, simulated, write_log)
     write_vehicle(tmp_path, car)
     spoilt = simulated[0].frame.copy()
-    spoilt.loc[7, "t"] = spoilt.loc[6, "t"]
+    spoilt.loc[7, "t"] = np.nan
     write_log(spoilt, tmp_path / "zz_last.csv")
 
     def forbidden(*_: object, **__: object) -> None:

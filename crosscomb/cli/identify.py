@@ -29,7 +29,7 @@ def identify(
     ] = False,
 ) -> None:
     """Find a car's parameters and its sensors' errors in logs, each with an interval or a word why not."""
-    from crosscomb.files import existing_files, refuse_overwriting
+    from crosscomb.files import existing_files, locked, refuse_overwriting, writing_together
     from crosscomb.logs.channel_map import load_map
     from crosscomb.logs.read import read_log
     from crosscomb.models.vehicle import load_vehicle
@@ -66,7 +66,8 @@ def identify(
     for name in result.left_out:
         terminal.warn(f"{name}: left aside, the car slides too much in it for its handling to show")
     settings = {"vehicle": before.model_dump(), "map": channel_map, "without_truth": without_truth}
-    write_identification(result, output, base, settings, inputs)
+    with locked(output.parent), writing_together(output.parent) as folder:
+        write_identification(result, folder / output.name, base, settings, inputs)
     terminal.show(
         f"{before.name}: {len(result.problem.traces)} of {len(logs)} logs with driving",
         ["parameter", "unit", "before", "after", "from (95 %)", "to", "word"],

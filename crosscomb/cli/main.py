@@ -15,6 +15,7 @@ from crosscomb.cli.demo import demo
 from crosscomb.cli.estimate import check, estimate, filters
 from crosscomb.cli.identify import identify
 from crosscomb.cli.simulate import simulate, vehicle
+from crosscomb.cli.stop import Stopped, clean_up, stoppable
 from crosscomb.cli.train import train
 from crosscomb.cli.tune import tune
 from crosscomb.errors import UsageError, printable
@@ -28,7 +29,16 @@ app = typer.Typer(
 
 
 def main() -> None:
-    """Run the command line: errors of use become one line and exit code 2."""
+    """Run the command line: errors of use become one line and exit code 2, signals one line and their own code."""
+    try:
+        with stoppable():
+            _run()
+    except Stopped as stop:
+        clean_up(stop.number)
+        sys.exit(128 + stop.number)
+
+
+def _run() -> None:
     # A run's 250,000 objects are its imports and live to the end: searching them for rubbish cost a tenth of it.
     gc.set_threshold(500_000)
     atexit.register(gc.freeze)

@@ -52,7 +52,7 @@ def train(
     ] = 12,
 ) -> None:
     """Train a selector, cross-validate it, and write the artefact and its report."""
-    from crosscomb.files import existing_files, refuse_overwriting
+    from crosscomb.files import existing_files, locked, refuse_overwriting
     from crosscomb.filters.catalogue import DEFAULT_FILTERS
     from crosscomb.logs.channel_map import load_map
     from crosscomb.report import terminal
@@ -82,9 +82,8 @@ def train(
         "selector": selector, "folds": folds, "seed": seed, "rate": rate, "vehicle": vehicle, "filters": names,
         "tuned": str(tuned) if tuned else None, "tune_budget": tune_budget,
     }  # fmt: skip
-    learn(recordings, output, settings, jobs, given, notes, inputs)
-    if everything:
-        compare_all(recordings, output, settings, jobs)
+    with locked(output.parent):
+        learn(recordings, output, settings, jobs, given, notes, inputs, everything)
 
 
 def learn(
@@ -95,8 +94,13 @@ def learn(
     given: Tuned | None = None,
     notes: Sequence[str] = (),
     inputs: Sequence[Path] = (),
+    everything: bool = False,
 ) -> Training:
-    """Train, write and show; `settings` are those of the record, `notes` and `inputs` say what was read."""
+    """Train, write and show; `settings` are those of the record, `notes` and `inputs` say what was read.
+
+    With `everything` the selectors are compared too. All files appear together at the end.
+    """
+    from crosscomb.files import writing_together
     from crosscomb.report import terminal
     from crosscomb.report.training import write_artefact
     from crosscomb.training.selectors.train import steps, train
@@ -106,16 +110,19 @@ def learn(
     names, budget = settings["filters"], settings["tune_budget"]
     with terminal.progress("training", steps(recordings, folds)) as advance:
         training = train(recordings, selector, folds, seed, rate, jobs, advance, names, given, budget)
-    paths = write_artefact(training, output, notes, settings, inputs)
-    for line in say_tuned(training.artefact.filters, budget):
-        terminal.say(line)
-    terminal.show_training(training)
+    with writing_together(output.parent) as folder:
+        paths = write_artefact(training, folder / output.name, notes, settings, inputs)
+        for line in say_tuned(training.artefact.filters, budget):
+            terminal.say(line)
+        terminal.show_training(training)
+        if everything:
+            paths.append(compare_all(recordings, folder / output.name, settings, jobs))
     terminal.say(f"written: {output}, {', '.join(path.name for path in paths)}")
     return training
 
 
-def compare_all(recordings: list[Recording], output: Path, settings: dict[str, Any], jobs: int) -> None:
-    """Compare the selectors, write and show."""
+def compare_all(recordings: list[Recording], output: Path, settings: dict[str, Any], jobs: int) -> Path:
+    """Compare the selectors, write and show; gives the file."""
     from crosscomb.report import terminal
     from crosscomb.report.training import comparison_file, write_comparison
     from crosscomb.training.selectors.compare import compare, comparison_steps
@@ -125,4 +132,4 @@ def compare_all(recordings: list[Recording], output: Path, settings: dict[str, A
         comparison = compare(recordings, folds, seed, rate, jobs, advance, settings["filters"])
     write_comparison(comparison, output)
     terminal.show_comparison(comparison)
-    terminal.say(f"written: {comparison_file(output)}")
+    return comparison_file(output)

@@ -42,7 +42,15 @@ def tune(
     jobs: JobsOption = 2,
 ) -> None:
     """Find noise settings from logs, and keep those that also help on logs they were not tuned on."""
-    from crosscomb.files import existing_files, file_hash, refuse_overwriting, run_record, write_json
+    from crosscomb.files import (
+        existing_files,
+        file_hash,
+        locked,
+        refuse_overwriting,
+        run_record,
+        write_json,
+        writing_together,
+    )
     from crosscomb.filters.catalogue import DEFAULT_FILTERS
     from crosscomb.logs.channel_map import load_map
     from crosscomb.report import terminal
@@ -74,7 +82,7 @@ def tune(
     record_file = output.with_suffix(".run.json")
     refuse_overwriting(inputs, [output, record_file, *beside_tuned(output)])
     steps = search.searches(len(names), len(recordings), folds)
-    with terminal.progress(f"tuning by {by}", steps) as advance:
+    with locked(output.parent), terminal.progress(f"tuning by {by}", steps) as advance:
         tuning = search.tune(
             recordings, default_filters(recordings[0].vehicle, names), rate,
             by=by, evaluations=evaluations, folds=folds, seed=seed, jobs=jobs, progress=advance,
@@ -84,9 +92,10 @@ def tune(
         "vehicle": vehicle,
     }  # fmt: skip
     record = {**settings, "data": {recording.name: file_hash(recording.path) for recording in recordings}}
-    save_tuned(to_tuned(tuning, record), output)
-    paths = write_tuning(tuning, output)
-    write_json(record_file, run_record("tune", settings, inputs))
+    with locked(output.parent), writing_together(output.parent) as folder:
+        save_tuned(to_tuned(tuning, record), folder / output.name)
+        paths = write_tuning(tuning, folder / output.name)
+        write_json(folder / record_file.name, run_record("tune", settings, inputs))
     show_tuning(tuning)
     terminal.say(f"written: {output}, {', '.join(path.name for path in paths)}")
 

@@ -12,7 +12,7 @@ import numpy as np
 import orjson
 import pandas as pd
 
-from crosscomb.files import existing_files, run_record, write_json, writing
+from crosscomb.files import existing_files, locked, run_record, write_json, writing, writing_together
 from crosscomb.logs.ahead import ahead
 from crosscomb.logs.intake import OpenedLog
 from crosscomb.report.outline import Outline
@@ -67,7 +67,7 @@ def write_estimate(
     handling: bool = False,
     plot: bool = False,
 ) -> Tally:
-    """Estimate one log chunk by chunk and write all that belongs to it, the record of the run too.
+    """Estimate one log chunk by chunk and write all that belongs to it, the record of the run too; or nothing of it.
 
     Parameters
     ----------
@@ -81,6 +81,19 @@ def write_estimate(
     handling, plot : bool
         Whether to write slip angles and words of handling too; whether to draw.
     """
+    with locked(folder, log.file.name), writing_together(folder) as together:
+        return _write_estimate(run, log, together, sources, point, handling, plot)
+
+
+def _write_estimate(
+    run: Run,
+    log: OpenedLog,
+    folder: Path,
+    sources: Sources,
+    point: tuple[float, float] | None,
+    handling: bool,
+    plot: bool,
+) -> Tally:
     name, title = log.file.name, f"{log.file.name}, {log.vehicle.name}"
     tally, outline = Tally(), Outline(log.rows)
     with ExitStack() as stack:

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from crosscomb.errors import UsageError
-from crosscomb.files import write_file, write_json, write_text
+from crosscomb.files import locked, write_file, write_json, write_text, writing_together
 from crosscomb.logs.formats.table import ending
 from crosscomb.logs.prepare import complete
 from crosscomb.models.plant import PlantParameters
@@ -178,10 +178,13 @@ def simulate_data_set(
     if logs < 1:
         raise UsageError(f"logs {logs}: ask for at least one log")
     work = plan_jobs(vehicle, logs, preset)
-    _clear(out_dir, force)
-    entries = in_parallel(_write_log, [(vehicle, out_dir, seed, job) for job in work], jobs, progress)
-    write_text(out_dir / VEHICLE_FILE, vehicle_text(vehicle))
-    write_json(out_dir / CARD, data_card(vehicle, seed, preset, entries))
+    old = _earlier(out_dir, force)
+    with locked(out_dir), writing_together(out_dir) as folder:
+        entries = in_parallel(_write_log, [(vehicle, folder, seed, job) for job in work], jobs, progress)
+        write_text(folder / VEHICLE_FILE, vehicle_text(vehicle))
+        write_json(folder / CARD, data_card(vehicle, seed, preset, entries))
+        for path in old:
+            path.unlink(missing_ok=True)
     return [out_dir / f"{job.name}.csv.gz" for job in work]
 
 
@@ -202,17 +205,15 @@ def _write_log(vehicle: Vehicle, out_dir: Path, seed: int, job: Job) -> dict[str
     return log_entry(job, log)
 
 
-def _clear(out_dir: Path, force: bool) -> None:
-    """Make the folder; logs of an earlier run are removed with force, foreign logs never."""
+def _earlier(out_dir: Path, force: bool) -> list[Path]:
+    """Logs of an earlier run, which go with force; foreign logs never do."""
     try:
         out_dir.mkdir(parents=True, exist_ok=True)
         old = sorted(p for p in out_dir.iterdir() if ending(p))
         if old and not force:
             raise UsageError(f"{out_dir}: holds logs already ({old[0].name}): take another folder or `force`")
         ours = _earlier_logs(out_dir)
-        for path in old:
-            if path.name.removesuffix(".csv.gz") in ours:
-                path.unlink()
+        return [path for path in old if path.name.removesuffix(".csv.gz") in ours]
     except OSError as error:
         raise UsageError(f"{out_dir}: cannot write there ({error.strerror}): choose another folder") from None
 
