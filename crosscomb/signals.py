@@ -170,7 +170,7 @@ class Intake:
         infinite = int(np.isinf(table.to_numpy()).sum())
         if infinite:
             table = table.replace([np.inf, -np.inf], np.nan)
-        later = self.stamps.later(table.to_numpy(), table.columns.get_loc("t"), self.source, rows)
+        later = self.stamps.later(table.to_numpy(), known.index("t"), self.source, rows)
         if not later.all():
             table = table[later].reset_index(drop=True)
         self.infinite += infinite

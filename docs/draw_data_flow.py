@@ -98,7 +98,7 @@ def room_of(module: str) -> str:
     parts = module.split(".")
     if parts[1] == "selection":
         return PARTS_OF_SELECTION.get(parts[-1], "selector")
-    return parts[1]
+    return "signals" if parts[1] == "stamps" else parts[1]
 
 
 def imported(path: Path, known: dict[str, Path]) -> Iterator[str]:

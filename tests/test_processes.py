@@ -77,7 +77,7 @@ def test_a_stopped_simulation_leaves_nothing(tmp_path: Path, number: int, group:
 
 @posix
 @pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="looks for processes in /proc")
-def test_a_stopped_training_leaves_nothing_and_no_other_one_mixes_with_it(
+def test_a_stopped_training_leaves_nothing_and_lets_no_other_in(
     crosscomb, tmp_path: Path, data_set: Path
 ) -> None:
     out = tmp_path / "out"

@@ -8,7 +8,7 @@ import socket
 import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from types import FrameType
 
@@ -51,7 +51,7 @@ def stoppable() -> Iterator[None]:
         _put_back(before, wake, theirs)
 
 
-def _put_back(before: dict[signal.Signals, object], wake: int, theirs: socket.socket) -> None:
+def _put_back(before: Mapping[signal.Signals, object], wake: int, theirs: socket.socket) -> None:
     signal.set_wakeup_fd(wake)
     for number, handler in before.items():
         signal.signal(number, handler)  # type: ignore[arg-type]
