@@ -230,3 +230,16 @@ def test_the_command_tells_how_often_the_answer_stands(crosscomb, data_set, tmp_
         assert word in text
         assert word in " ".join(ran.out.split())
     assert "s over 3 deg while ok)" in ran.out
+
+
+def test_the_command_takes_some_kinds_of_faults(crosscomb, monkeypatch):
+    monkeypatch.setattr(fault_campaign, "MANOEUVRES", {"lap": "dry"})
+    monkeypatch.setattr(fault_campaign, "DURATION", 14.0)
+    words = ("benchmark", "faults", "--seeds", 1, "--jobs", 1, "--filters", "dynamic_ekf", "--kinds")
+    ran = crosscomb(*words, "stuck,mass +20 %,standstill")
+    assert ran.code == 0
+    for kind in ("stuck", "mass +20 %", "standstill"):
+        assert kind in ran.out
+    assert "spike" not in ran.out
+    ran = crosscomb(*words, "gremlins")
+    assert (ran.code, "gremlins" in ran.err, "sign flip" in ran.err) == (2, True, True)

@@ -32,6 +32,9 @@ def benchmark(
     drift: Annotated[
         Path | None, typer.Option("--drift", help="Faults: folder of real drifts, run without any fault.")
     ] = None,
+    kinds: Annotated[
+        str | None, typer.Option("--kinds", help="Faults: only these rows of the table, a,b,c.")
+    ] = None,
     worst: Annotated[int, typer.Option("--worst", min=0, help="Faults: name so many of the worst runs.")] = 0,
 ) -> None:
     """Print accuracy and speed of all estimators, or what faults do to the answer."""
@@ -52,7 +55,7 @@ def benchmark(
         _papers(output)
         return
     if suite == "faults":
-        setup = Setup(artefact, tuple(filter_names(filters)))
+        setup = Setup(artefact, tuple(filter_names(filters)), _kinds(kinds))
         _faults(setup, selector_file, data, drift, seeds, jobs, worst, output)
         return
     beside = name_filters(
@@ -95,6 +98,19 @@ def _speed(names: list[str], output: Path | None) -> None:
         write_speeds(output, speeds)
 
 
+def _kinds(given: str | None) -> tuple[str, ...]:
+    """Take the kinds of faults in a --kinds option apart; all where there is none."""
+    from crosscomb.training.suites.fault_criteria import CRITERIA
+
+    if given is None:
+        return tuple(CRITERIA)
+    kinds = tuple(kind.strip() for kind in given.split(","))
+    for kind in kinds:
+        if kind not in CRITERIA:
+            raise UsageError(f"--kinds {kind}: no such fault: take of {', '.join(CRITERIA)}")
+    return kinds
+
+
 def _faults(
     setup: Setup,
     selector_file: Path | None,
@@ -109,11 +125,12 @@ def _faults(
     from crosscomb.report import terminal
     from crosscomb.report.faults import show_campaign, write_campaign
     from crosscomb.training.recordings import find_places
-    from crosscomb.training.suites.fault_campaign import jobs_of, run_campaign
+    from crosscomb.training.suites.fault_campaign import SEEDS, jobs_of, run_campaign
+    from crosscomb.training.suites.fault_criteria import CRITERIA
 
     folders = [folder for folder in (data, drift) if folder is not None]
     logs = sum(len(logs) for folder in folders for _, logs in find_places(folder))
-    with terminal.progress("breaking logs", len(jobs_of(seeds, ())) + logs) as advance:
+    with terminal.progress("breaking logs", len(jobs_of(seeds, setup.kinds)) + logs) as advance:
         campaign = run_campaign(setup, data, drift, seeds, jobs, advance)
     show_campaign(campaign, worst)
     if output is None:
@@ -122,7 +139,8 @@ def _faults(
     words += [f"--filters {','.join(setup.filters)}"] if setup.filters else []
     words += ["--data <folder of the real logs>"] if data else []
     words += ["--drift <folder of the real drifts>"] if drift else []
-    words += [f"--seeds {seeds}"] if seeds != 5 else []
+    words += [f"--seeds {seeds}"] if seeds != SEEDS else []
+    words += [f'--kinds "{",".join(setup.kinds)}"'] if setup.kinds != tuple(CRITERIA) else []
     name = "-".join([selector_file.stem if selector_file else "tree", *setup.filters])
     write_campaign(
         output, campaign, name, " ".join(["crosscomb benchmark faults", *words, f"-o docs/{output.name}"])

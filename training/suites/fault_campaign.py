@@ -15,9 +15,8 @@ from crosscomb.training.parallel import in_parallel
 from crosscomb.training.recordings import Recording, read_recordings
 from crosscomb.training.simulation.simulate import simulate_recording
 from crosscomb.training.suites.fault_results import Campaign, Figures, Outcome, figures_of
-from crosscomb.training.suites.fault_runs import Setup, make_bench, part, try_fault, try_others, try_scene
+from crosscomb.training.suites.fault_runs import Setup, make_bench, part, try_faults, try_others, try_scene
 from crosscomb.training.suites.fault_trials import Answers
-from crosscomb.training.suites.faults import signal_faults
 
 MANOEUVRES = {
     "country_road": "dry",
@@ -32,7 +31,7 @@ MANOEUVRES = {
 SCENES = (
     ("standstill", "stop_and_go", "dry"),
     ("reversing", "reversing", "dry"),
-    ("reversing, unsigned speed", "reversing", "dry"),
+    ("unsigned reversing", "reversing", "dry"),
     ("spin", "handbrake_turn", "wet"),
 )
 """Kinds that are a way of driving, with manoeuvre and surface."""
@@ -58,8 +57,7 @@ def _simulated(manoeuvre: str, surface: str, seed: int, setup: Setup) -> Done:
     options = {"duration": DURATION, "surface": surface, "name": name}
     recording = simulate_recording(load_vehicle(CAR), manoeuvre, (SEED, place, seed), **options)
     bench = make_bench(recording, True, ONSET, setup)
-    outcomes = [try_fault(bench, fault) for fault in signal_faults(recording.signals)]
-    return [*outcomes, *try_others(bench)], {name: _figures(recording, bench.sound)}
+    return [*try_faults(bench), *try_others(bench)], {name: _figures(recording, bench.sound)}
 
 
 def _scene(kind: str, manoeuvre: str, surface: str, seed: int, setup: Setup) -> Done:
@@ -76,11 +74,12 @@ def _real(recording: Recording, setup: Setup) -> Done:
     moving = log.t[log.column("vx") > MIN_SPEED]
     sound = {recording.name: _sound(recording, setup)}
     if not moving.size:
-        return [try_scene("standstill", recording, False, setup)], sound
+        still = [try_scene("standstill", recording, False, setup)] if "standstill" in setup.kinds else []
+        return still, sound
     onset = float(moving[len(moving) // 2])
     near = part(log, np.abs(log.t - onset) <= 0.5 * LONGEST)
     bench = make_bench(replace(recording, signals=near), False, onset, setup)
-    return [try_fault(bench, fault) for fault in signal_faults(near)], sound
+    return try_faults(bench), sound
 
 
 def _figures(recording: Recording, answers: Answers) -> Figures:
@@ -100,11 +99,11 @@ def _do(job: Job, setup: Setup) -> Done:
     return job(setup)
 
 
-def jobs_of(seeds: int, real: Sequence[Recording]) -> list[Job]:
+def jobs_of(seeds: int, kinds: Sequence[str], real: Sequence[Recording] = ()) -> list[Job]:
     """The work of a campaign, log by log."""
     numbers = range(seeds)
     simulated = [partial(_simulated, *pair, seed) for pair in MANOEUVRES.items() for seed in numbers]
-    scenes = [partial(_scene, *scene, seed) for scene in SCENES for seed in numbers]
+    scenes = [partial(_scene, *scene, seed) for scene in SCENES if scene[0] in kinds for seed in numbers]
     return [*simulated, *scenes, *(partial(_real, recording) for recording in real)]
 
 
@@ -139,7 +138,7 @@ def run_campaign(
     """
     real, notes = read_recordings(data, unscored=True) if data else ([], [])
     slides, more = read_recordings(drift) if drift else ([], [])
-    work = [*jobs_of(seeds, real), *(partial(_drift, recording) for recording in slides)]
+    work = [*jobs_of(seeds, setup.kinds, real), *(partial(_drift, recording) for recording in slides)]
     done = in_parallel(_do, [(job, setup) for job in work], jobs, progress)
     split = len(done) - len(slides)
     outcomes = [outcome for part_of, _ in done for outcome in part_of]

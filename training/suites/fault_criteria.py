@@ -253,7 +253,7 @@ CRITERIA: dict[str, Judge] = {
     "filter diverges": diverged,
     "standstill": standing,
     "reversing": reversing,
-    "reversing, unsigned speed": unsigned_reversing,
+    "unsigned reversing": unsigned_reversing,
     "spin": spinning,
 }
 """The criterion of each kind of fault, in the order of the table."""

@@ -15,10 +15,17 @@ from crosscomb.run.estimate import Run, estimate_log, next_estimate, start_run
 from crosscomb.selection.artefact import Artefact
 from crosscomb.signals import Signals, make_signals
 from crosscomb.training.recordings import Recording
-from crosscomb.training.suites.fault_criteria import NOT_JUDGED, judge
+from crosscomb.training.suites.fault_criteria import CRITERIA, NOT_JUDGED, judge
 from crosscomb.training.suites.fault_results import Figures, Outcome, figures_of
 from crosscomb.training.suites.fault_trials import Answers, Trial, answers_of, at_rows, same
-from crosscomb.training.suites.faults import DIVERGING, VEHICLE_FAULTS, WHEELS, Fault, unsigned_speed
+from crosscomb.training.suites.faults import (
+    DIVERGING,
+    VEHICLE_FAULTS,
+    WHEELS,
+    Fault,
+    signal_faults,
+    unsigned_speed,
+)
 
 AFTER = 5.0
 """A run ends so long after the return of what was faulty [s]."""
@@ -34,6 +41,7 @@ class Setup:
 
     artefact: Artefact
     filters: tuple[str, ...] = ()  # instead of the artefact's, as in `estimate_log`
+    kinds: tuple[str, ...] = tuple(CRITERIA)  # of faults
 
     def start(self, vehicle: Vehicle) -> Run:
         """Make the state before the first row."""
@@ -77,6 +85,12 @@ def make_bench(recording: Recording, simulated: bool, onset: float, setup: Setup
     sound = setup.answers(log, recording.vehicle)
     causal = same(before, at_rows(sound, log.t < onset))
     return Bench(recording, simulated, setup, onset, run, sound, causal)
+
+
+def try_faults(bench: Bench) -> list[Outcome]:
+    """Put every fault of the signals into the log of a bench."""
+    faults = signal_faults(bench.recording.signals)
+    return [try_fault(bench, fault) for fault in faults if fault.kind in bench.setup.kinds]
 
 
 def try_fault(bench: Bench, fault: Fault) -> Outcome:
@@ -136,6 +150,8 @@ def try_others(bench: Bench) -> Iterator[Outcome]:
             if artefact is not None:
                 others.append(("filter diverges", name, car, Setup(artefact)))
     for kind, channel, vehicle, given in others:
+        if kind not in setup.kinds:
+            continue
         answers = given.answers(log, vehicle)
         trial = _trial(log, rows, at_rows(bench.sound, rows), answers, float(log.t[0]))
         yield _judged(recording.name, bench.simulated, kind, channel, trial)
