@@ -254,3 +254,22 @@ def test_what_messages_show_is_short_and_printable() -> None:
     for _ in range(DEEP):
         nested = [nested]
     assert len(shown(nested)) < 100
+
+
+def test_a_file_for_tables_that_is_no_text_stays_as_it_is(tmp_path: Path) -> None:
+    from crosscomb.report.markdown import write_section
+
+    path = write(tmp_path / "notes.md", b"\xff\xfe")
+    one_line(lambda: write_section(path, "speed", "text"), "no UTF-8 text")
+    assert path.read_bytes() == b"\xff\xfe"
+
+
+@pytest.mark.parametrize("text", ["[]", '{"logs": 1}', '{"logs": [1]}', "[" * DEEP, "\0", '{"logs": [{}]}'])
+def test_a_card_that_is_not_ours_says_nothing(tmp_path: Path, car: Vehicle, text: str) -> None:
+    from crosscomb.signals import Signals
+    from crosscomb.training.recordings import CARD, Recording
+    from crosscomb.training.selectors.compare import driving_of
+
+    write(tmp_path / CARD, text)
+    recording = Recording("a", tmp_path / "a.csv", car, Signals("a", None))  # type: ignore[arg-type]
+    assert driving_of(recording) == ("", "")

@@ -6,6 +6,7 @@ import os
 import signal
 import time
 from collections.abc import Callable, Iterable
+from contextlib import suppress
 from functools import cache
 from threading import Thread
 from typing import Any
@@ -62,9 +63,11 @@ def end_workers() -> None:
         return
     workers = list((executor._processes or {}).values())
     for worker in workers:
-        worker.kill()
+        with suppress(OSError, AttributeError):  # it has ended, or has not quite begun
+            os.kill(worker.pid, signal.SIGKILL) if os.name == "posix" else worker.terminate()
     for worker in workers:
-        worker.join(1.0)
+        with suppress(OSError, AttributeError, AssertionError):
+            worker.join(1.0)
     executor.shutdown(wait=False, kill_workers=True)
 
 

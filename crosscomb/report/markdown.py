@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pandas as pd
 
-from crosscomb.files import write_text
+from crosscomb.errors import UsageError
+from crosscomb.files import read_bytes, write_text
 
 if TYPE_CHECKING:
     from crosscomb.training.suites.benchmark import Benchmark
@@ -79,11 +80,18 @@ def number(value: object) -> str:
     return f"{value:.3g}" if isinstance(value, float) else str(value)
 
 
+MOST_BYTES = 1 << 26
+"""So large may a Markdown file be."""
+
+
 def write_section(path: Path, name: str, text: str, title: str = TITLE) -> None:
     """Put a section into a Markdown file, in the place of an earlier one of that name."""
     begin, end = f"<!-- {name}:begin -->", f"<!-- {name}:end -->"
     section = f"{begin}\n{text.strip()}\n{end}\n"
-    old = path.read_text(encoding="utf-8") if path.exists() else title
+    try:
+        old = read_bytes(path, MOST_BYTES, "Markdown file").decode("utf-8") if path.exists() else title
+    except UnicodeDecodeError:
+        raise UsageError(f"{path}: is no UTF-8 text: name a Markdown file to keep the tables in") from None
     if begin in old and end in old:
         before, rest = old.split(begin, 1)
         new = before + section.rstrip("\n") + rest.split(end, 1)[1]

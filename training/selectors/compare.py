@@ -70,9 +70,12 @@ def driving_of(recording: Recording) -> tuple[str, str]:
     card = recording.path.with_name(CARD)
     if not card.is_file():
         return "", ""
-    logs = json.loads(card.read_text(encoding="utf-8")).get("logs", [])
     name = recording.name.rsplit("/", 1)[-1]
-    entry: dict[str, object] = next((one for one in logs if one.get("log") == name), {})
+    try:
+        logs = json.loads(card.read_text(encoding="utf-8"))["logs"]
+        entry: dict[str, object] = next((one for one in logs if one["log"] == name), {})
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):  # no card of ours
+        return "", ""
     return str(entry.get("manoeuvre", "")), str(entry.get("surface", ""))
 
 

@@ -222,5 +222,5 @@ def _earlier_logs(out_dir: Path) -> set[str]:
     try:
         card = json.loads((out_dir / CARD).read_text(encoding="utf-8"))
         return {str(entry["log"]) for entry in card["logs"]}
-    except (OSError, ValueError, KeyError, TypeError):
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):
         return set()
