@@ -5,7 +5,7 @@ import pytest
 from pydantic import ValidationError
 
 from crosscomb.selection.boosted import Boosted
-from crosscomb.selection.choice import Choice, blend
+from crosscomb.selection.choice import LEAD, Choice, blend
 from crosscomb.training.selectors.fit_boosted import fit_trees, to_boosted
 
 SOUND = {
@@ -74,16 +74,27 @@ def test_a_blend_is_the_mean_under_the_probabilities():
     rng = np.random.default_rng(2)
     shares = rng.dirichlet(np.ones(3), 500)
     beta, beta_std = rng.standard_normal((500, 3)), 0.1 + rng.random((500, 3))
-    mean, std, active = blend(shares, np.full(3, -1.0), beta, beta_std, 1.0)
+    mean, std, active = blend(shares, np.full(3, -1.0), np.zeros(2, dtype=np.int64), beta, beta_std, 1.0, 0)
     np.testing.assert_allclose(mean, (shares * beta).sum(axis=1))
     second = (shares * (beta_std**2 + beta**2)).sum(axis=1)
     np.testing.assert_allclose(std**2, second - mean**2)
-    np.testing.assert_array_equal(active, np.argmax(shares, axis=1))
+    largest = shares.max(axis=1)
+    assert np.all(shares[np.arange(500), active] >= largest - LEAD)
+    clear = largest - np.partition(shares, -2, axis=1)[:, -2] > LEAD
+    np.testing.assert_array_equal(active[clear], np.argmax(shares, axis=1)[clear])
 
 
 def test_a_lost_filter_has_no_part_in_a_blend():
     beta = np.array([[1.0, np.nan, 3.0]])
-    mean, std, active = blend(np.array([[0.2, 0.6, 0.2]]), np.full(3, -1.0), beta, np.full((1, 3), 0.1), 1.0)
+    mean, std, active = blend(
+        np.array([[0.2, 0.6, 0.2]]),
+        np.full(3, -1.0),
+        np.zeros(2, dtype=np.int64),
+        beta,
+        np.full((1, 3), 0.1),
+        1.0,
+        0,
+    )
     assert mean[0] == pytest.approx(2.0)
     assert np.isfinite(std[0])
     assert active[0] in (0, 2)
@@ -95,3 +106,11 @@ def test_a_low_temperature_takes_the_likeliest():
     cold, warm = Choice(trees=trees, temperature=0.01), Choice(trees=trees, temperature=100.0)
     np.testing.assert_allclose(cold.probabilities(rows), [[0.0, 1.0, 0.0]] * 2, atol=1e-9)
     np.testing.assert_allclose(warm.probabilities(rows), 1.0 / 3.0, atol=0.01)
+
+
+def test_noise_makes_no_leader_flicker():
+    """Two filters that lead in turn: the name changes at most once in `hold` samples."""
+    shares = np.tile([[0.6, 0.4], [0.4, 0.6]], (500, 1))
+    beta, leading = np.zeros((1000, 2)), np.zeros(2, dtype=np.int64)
+    _, _, active = blend(shares, np.full(2, -1.0), leading, beta, np.full((1000, 2), 0.1), 1.0, 50)
+    assert np.all(np.diff(np.flatnonzero(np.diff(active))) >= 50)

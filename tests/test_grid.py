@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from crosscomb.logs.grid import MAX_AGE, MAX_GAP, to_grid
+from crosscomb.logs.grid import JITTER, MAX_AGE, MAX_GAP, to_grid
 from crosscomb.logs.read import read_log
 from crosscomb.signals import Signals
 
@@ -79,12 +79,12 @@ def test_every_grid_value_comes_from_fresh_samples_of_its_own_segment(seed: int,
         assert np.all(np.diff(t) <= MAX_GAP)
         for time, value in zip(segment.signals.t, segment.signals.column("ay"), strict=True):
             if np.isfinite(value):
-                near = (t <= time + 1e-6) & (t >= time - max(MAX_AGE, 1.0 / rate) - 1e-6)
+                near = (t <= time + JITTER / rate) & (t >= time - max(MAX_AGE, 1.0 / rate) - 1e-6)
                 assert np.nanmin(ay[near]) - 1e-12 <= value <= np.nanmax(ay[near]) + 1e-12
         newest = segment.newest
-        assert np.all(segment.signals.t[newest] <= t + 1e-6)
+        assert np.all(segment.signals.t[newest] <= t + JITTER / rate)
         following = newest + 1 < len(segment.signals)
-        assert np.all(segment.signals.t[(newest + 1)[following]] > t[following] - 1e-6)
+        assert np.all(segment.signals.t[(newest + 1)[following]] > t[following] - JITTER / rate)
     assert stop == len(log)
 
 
@@ -150,3 +150,15 @@ def test_a_grid_point_is_closed_by_the_first_row_that_reaches_it() -> None:
     (segment,) = to_grid(log, 100.0)
     assert segment.newest.tolist() == [0, 1, 1, 2]
     assert segment.signals.column("ay").tolist() == [0.0, 1.0, 4.0]
+
+
+@pytest.mark.parametrize("rate", [100.0, 200.0])
+def test_jitter_of_stamps_changes_no_grid_value(rate: float) -> None:
+    """Rows at the working rate, or twice it, whose stamps miss their time by a fifth of a step."""
+    rng, n = np.random.default_rng(1), 1000
+    t = np.arange(n) / rate
+    ay = rng.normal(size=n)
+    jittered = t + np.where(np.arange(n) > 200, rng.uniform(-0.2, 0.2, n), 0.0) / rate
+    (even,), (uneven,) = to_grid(make_log(t, ay=ay), 100.0), to_grid(make_log(jittered, ay=ay), 100.0)
+    common = min(len(even.signals), len(uneven.signals))
+    np.testing.assert_array_equal(even.signals.column("ay")[:common], uneven.signals.column("ay")[:common])

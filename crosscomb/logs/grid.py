@@ -25,6 +25,15 @@ MAX_AGE = 0.1
 _ROUNDING = 1e-6
 """Share of a step by which a time stamp may miss the grid and still be on it."""
 
+JITTER = 0.35
+"""Share of its own step by which a row may miss its place, where rows come at the working rate or a multiple of it."""
+
+SAME_RATE = 0.01
+"""They do where their mean step misses it by no more than this share."""
+
+PACE_ROWS = 100.0
+"""Rows over which the mean step is taken."""
+
 
 @dataclass(frozen=True)
 class Segment:
@@ -57,6 +66,9 @@ class GridState(NamedTuple):
     newest: np.ndarray  # (channels,) newest sample
     times: np.ndarray  # (channels,) and its time since the start [s]
     intervals: np.ndarray  # (channels,) from the sample before it to the newest [s]; 0 for the first
+    pace: (
+        np.ndarray
+    )  # (4,) in grid steps: newest row, mean step, the newest row's own place; and the rows so far
 
 
 @dataclass(frozen=True)
@@ -94,7 +106,7 @@ def start_grid(t_start: float, rate: float, channels: Sequence[str]) -> Grid:
     once = np.array([name in REFERENCES + GNSS for name in channels], dtype=np.bool_)
     state = GridState(
         np.zeros(1, np.int64), np.zeros(n, np.int64), np.zeros(n), np.zeros(n, np.bool_), np.zeros(n, np.bool_),
-        np.zeros(n), np.zeros(n), np.zeros(n),
+        np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(4),
     )  # fmt: skip
     return Grid(t_start, rate, once, state)
 
@@ -122,10 +134,30 @@ def next_points(grid: Grid, t: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray
     # Unix time stamps have a resolution of 0.24 us, which is more than a millionth of a step.
     tolerance = max(_ROUNDING, 4.0 * grid.rate * math.ulp(abs(grid.t_start)))
     last = math.floor(tau[-1] * grid.rate + tolerance)
-    points = np.empty((last + 1 - int(grid.state.closed[0]), rows.shape[1]))
+    points = np.empty(
+        (last + 2 - int(grid.state.closed[0]), rows.shape[1])
+    )  # one more, if the last row is early
     newest = np.empty(len(t), dtype=np.int64)
+    before = int(grid.state.closed[0])
     _take_rows(grid.state, tau, rows, grid.rate, tolerance, grid.once, points, newest)
-    return points, newest
+    return points[: int(grid.state.closed[0]) - before], newest
+
+
+@kernel
+def _steady(pace, place):
+    """Place of a row [grid steps], without the jitter of its stamp where rows come at the grid's rate."""
+    step = place - pace[0]
+    pace[0] = place
+    pace[3] += 1.0
+    if pace[3] < 2.0:
+        return place
+    if pace[3] == 2.0 or step < 1.6 * pace[1]:  # where rows are lost the pace is the same
+        pace[1] += (step - pace[1]) / min(pace[3] - 1.0, PACE_ROWS)
+    simple = 1.0 / max(math.floor(1.0 / max(pace[1], 1e-9) + 0.5), 1.0)  # or faster, by a whole number
+    own, before = simple * math.floor(place / simple + 0.5), pace[2]
+    pace[2] = own
+    fits = abs(pace[1] - simple) < SAME_RATE * simple and own > before
+    return own if fits and pace[3] > PACE_ROWS and abs(place - own) < JITTER * simple else place
 
 
 @kernel
@@ -133,9 +165,10 @@ def _take_rows(state, tau, rows, rate, tolerance, once, points, newest):
     """Take rows one after the other and close the grid points that they reach."""
     before = state.closed[0]
     for i in range(tau.size):
+        place = _steady(state.pace, tau[i] * rate)
         # The grid point that the row counts for: not one that a row before it has closed.
-        point = max(math.ceil(tau[i] * rate - tolerance), state.closed[0])
-        reached = math.floor(tau[i] * rate + tolerance)
+        point = max(math.ceil(place - tolerance), state.closed[0])
+        reached = max(math.floor(place + tolerance), state.closed[0] - 1)
         while state.closed[0] <= min(point - 1, reached):
             _close_point(state, rate, tolerance, once, points[state.closed[0] - before])
         _add_row(state, tau[i], rows[i])

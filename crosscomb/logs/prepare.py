@@ -6,10 +6,12 @@ Works on rows in pieces of any length, one row or a whole log, with the same res
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from collections import Counter
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from crosscomb.logs.watch import CHANNELS, Watch, count_faults, start_watch, watch_rows
 from crosscomb.models.compiled import kernel
 from crosscomb.models.vehicle import Vehicle
 from crosscomb.signals import COLUMN, WHEEL_SPEEDS, Signals
@@ -43,12 +45,17 @@ _MADE = {
 
 @dataclass
 class Completion:
-    """A log on its way through the completion: when columns had their first sample, which were made, and recent vx."""
+    """A log on its way through the completion: when columns had their first sample, which were made, and recent vx.
+
+    What is there and what was made is then watched: a bad sample becomes NaN.
+    """
 
     vehicle: Vehicle
     first: dict[int, float] = field(default_factory=dict)  # t of the first sample of each column [s]
     made: set[int] = field(default_factory=set)  # columns with a made value
     line: Line | None = None
+    watch: Watch = field(default_factory=start_watch)
+    faults: Counter[str] = field(default_factory=Counter)  # rows, by words for what is bad in them
 
     def notes(self) -> dict[str, str]:
         """What was made of the rows so far, by column."""
@@ -59,11 +66,14 @@ class Completion:
                 notes[_NAMES[column]] = note
             elif column in self.made:
                 notes[_NAMES[column]] = f"{note}, until its first sample at t = {self.first[column]:g} s"
+        if self.faults:
+            each = ", ".join(f"{fault} {count}" for fault, count in self.faults.most_common())
+            notes["faults"] = f"samples taken as missing: {each}"
         return notes
 
 
-def next_rows(completion: Completion, rows: np.ndarray) -> None:
-    """Fill steer, vx and ax in the next rows of a log, each until its own first sample.
+def next_rows(completion: Completion, rows: np.ndarray) -> np.ndarray:
+    """Fill steer, vx and ax in the next rows of a log, each until its own first sample, and take out what is bad.
 
     Parameters
     ----------
@@ -71,6 +81,11 @@ def next_rows(completion: Completion, rows: np.ndarray) -> None:
         Changed in place.
     rows : (n, columns)
         As of `Signals.rows`; changed in place.
+
+    Returns
+    -------
+    (n,) int64
+        Faults of the rows, see `crosscomb.logs.watch.watch_rows`.
     """
     vehicle = completion.vehicle
     for column in _MADE:
@@ -88,6 +103,10 @@ def next_rows(completion: Completion, rows: np.ndarray) -> None:
             out[:] = next_slopes(completion.line, t, part[:, _VX], SPEED_SLOPE_WINDOW)
         if np.isfinite(out).any():
             completion.made.add(column)
+    codes = watch_rows(completion.watch, rows, vehicle)
+    if codes.any():
+        completion.faults += count_faults(codes)
+    return codes
 
 
 def _before_first(completion: Completion, rows: np.ndarray, column: int) -> int:
@@ -103,7 +122,7 @@ def _before_first(completion: Completion, rows: np.ndarray, column: int) -> int:
 
 
 def complete(signals: Signals, vehicle: Vehicle) -> Signals:
-    """Add the columns steer, vx and ax where the log lacks them, with a note for each.
+    """Add the columns steer, vx and ax where the log lacks them, and take out bad samples, with a note for each.
 
     Row i depends on rows up to i only. A column is made until its first sample comes, and left as it is from
     there on.
@@ -122,9 +141,13 @@ def complete(signals: Signals, vehicle: Vehicle) -> Signals:
     """
     rows, completion = signals.rows(), Completion(vehicle)
     next_rows(completion, rows)
-    for name, note in completion.notes().items():
-        signals = signals.with_columns(note, **{name: rows[:, COLUMN[name]].copy()})
-    return signals
+    notes = completion.notes()
+    watched = [name for name in CHANNELS if completion.faults and name in signals.frame]
+    names = [*(name for name in notes if name in COLUMN), *watched]
+    if not names:
+        return signals
+    signals = signals.with_columns("", **{name: rows[:, COLUMN[name]].copy() for name in names})
+    return replace(signals, notes=(*signals.notes, *notes.values()))
 
 
 def speed_from_wheels(signals: Signals, vehicle: Vehicle) -> np.ndarray:

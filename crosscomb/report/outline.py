@@ -59,14 +59,16 @@ class Outline:
         signals = replace(self.like.signals, frame=pd.DataFrame(told("signals")))
         motion, handling, own = Motion(**told("motion")), Handling(**told("handling")), told("")
         answers = own["beta"], own["beta_std"], own["active"], own["status"]
-        return LogEstimate(signals, *answers, told("filters"), motion, handling, told("extras"))
+        return LogEstimate(
+            signals, *answers, told("filters"), motion, handling, told("extras"), own["reason"]
+        )
 
 
 def _columns(estimate: LogEstimate) -> Columns:
     """All columns of an estimate that pictures show, by where they stand in it."""
     signals = {name: estimate.signals.column(name) for name in ("t", "vx", "ay", "yaw_rate")}
     tables = {
-        "": {name: getattr(estimate, name) for name in ("beta", "beta_std", "active", "status")},
+        "": {name: getattr(estimate, name) for name in ("beta", "beta_std", "active", "status", "reason")},
         "signals": signals | {"beta_ref": estimate.signals.beta_ref},
         "filters": estimate.filters,
         "motion": estimate.motion._asdict(),

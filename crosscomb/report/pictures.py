@@ -96,7 +96,7 @@ def extras_figure(table: pd.DataFrame, title: str) -> Figure:
         As of `crosscomb.run.estimate.LogEstimate.extras_table`.
     title : str
     """
-    told = [str(column).partition(" ") for column in table.columns.drop("t")]
+    told = [str(column).partition(" ") for column in table.columns.drop(["t", "reason"])]
     quantities = list(dict.fromkeys(quantity for _, _, quantity in told))
     figure = Figure(figsize=(12, 1.2 + 1.9 * len(quantities)), layout="constrained")
     axes = figure.subplots(len(quantities), 1, sharex=True, squeeze=False)[:, 0]

@@ -13,11 +13,13 @@ from crosscomb.errors import UsageError
 from crosscomb.filters.base import KernelFilter
 from crosscomb.filters.catalogue import CATALOGUE
 from crosscomb.logs.grid import Grid, next_points, start_grid, stretch_starts
+from crosscomb.logs.watch import degrading
 from crosscomb.models.vehicle import Vehicle
+from crosscomb.run.doubt import next_doubt, start_doubt
 from crosscomb.run.drive import Drive, make_filters, name_filters, next_seen, start_drive
 from crosscomb.run.handling import Handling, HandlingState, handling_of, start_handling
 from crosscomb.run.motion import Motion, motion_of, start_motion
-from crosscomb.run.status import INVALID, start_ages, status_codes
+from crosscomb.run.status import DEGRADED, INVALID, start_ages, status_codes
 from crosscomb.run.tuned import Tuned, with_tuned
 from crosscomb.selection.answer import Answer, Selection, select, start_selection
 from crosscomb.selection.artefact import Artefact
@@ -66,11 +68,12 @@ def make_plan(
 def record_of(filters: int, extras: int) -> np.dtype:
     """Type of the record of one answer: one table of them is cheap to cut and to join, also for a single sample.
 
-    Active filter, status and state are codes: places in the plan's names, `status.TEXTS` and `handling.STATES`.
+    Active filter, status and state are codes: places in the plan's names, `status.TEXTS` and `handling.STATES`; faults
+    are those of the row, see `crosscomb.logs.watch`.
     """
     numbers = ("beta", "beta_std", *Motion._fields, *Handling._fields[:-1])
     wide = [("filters", np.float64, (filters,)), ("extras", np.float64, (extras,))]
-    codes = ("active", "status", "state")
+    codes = ("active", "status", "state", "faults")
     return np.dtype([*((name, np.float64) for name in numbers), *wide, *((name, np.int64) for name in codes)])
 
 
@@ -86,6 +89,7 @@ class Stretch:
     ages: np.ndarray = field(default_factory=start_ages)
     yaw: np.ndarray = field(default_factory=start_motion)
     handling: HandlingState = field(default_factory=start_handling)
+    doubt: np.ndarray = field(default_factory=start_doubt)
 
 
 def start_stretch(plan: Plan, t_start: float) -> Stretch:
@@ -120,13 +124,13 @@ def _answers_at(stretch: Stretch, seen: Seen, out: np.ndarray) -> None:
     else:
         nothing = np.zeros(len(samples), dtype=np.int64)
         answer = Answer(seen.beta[:, 0], seen.beta_std[:, 0], nothing, nothing > 0, nothing)
-    status = status_codes(stretch.ages, samples, answer.outside, dt)
+    std = answer.beta_std.copy()
+    recovering = next_doubt(stretch.doubt, samples, std, dt)
+    status = status_codes(stretch.ages, samples, answer.outside, recovering, std, dt)
     motion = motion_of(stretch.yaw, samples, plan.vehicle, dt)
     valid = status & INVALID == 0
-    handling = handling_of(
-        stretch.handling, samples, answer.beta, answer.beta_std, motion, valid, plan.vehicle, dt
-    )
-    out["beta"], out["beta_std"], out["status"] = answer.beta, answer.beta_std, status
+    handling = handling_of(stretch.handling, samples, answer.beta, std, motion, valid, plan.vehicle, dt)
+    out["beta"], out["beta_std"], out["status"] = answer.beta, std, status
     out["active"], out["filters"] = np.array(plan.members)[answer.active], seen.beta
     for name, values in (motion._asdict() | handling._asdict()).items():
         out[name] = values
@@ -143,8 +147,16 @@ class Stream:
     stretch: Stretch | None = None
 
 
-def advance(stream: Stream, rows: np.ndarray) -> np.ndarray:
+def advance(stream: Stream, rows: np.ndarray, faults: np.ndarray) -> np.ndarray:
     """Answers at the next rows ``(n, columns)``, at least one, completed and in order of time.
+
+    Parameters
+    ----------
+    stream : Stream
+        Changed in place.
+    rows : (n, columns)
+    faults : (n,) int
+        Of the rows, as `crosscomb.logs.prepare.next_rows` gives them with the rows.
 
     Returns
     -------
@@ -156,6 +168,12 @@ def advance(stream: Stream, rows: np.ndarray) -> np.ndarray:
     stream.t = float(t[-1])
     for begin, end in pairwise([*sorted({0, *starts}), len(t)]):
         if stream.stretch is None or begin in starts:
+            before = stream.stretch
             stream.stretch = start_stretch(stream.plan, float(t[begin]))
+            if before is not None:
+                stream.stretch.doubt = start_doubt(float(before.newest["beta_std"][0]))
         parts.append(next_answers(stream.stretch, rows[begin:end]))
-    return parts[0] if len(parts) == 1 else np.concatenate(parts)
+    answers = parts[0] if len(parts) == 1 else np.concatenate(parts)
+    answers["faults"] = faults
+    answers["status"][degrading(faults, stream.plan.artefact.sees_all)] |= DEGRADED
+    return answers

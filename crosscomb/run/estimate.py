@@ -10,6 +10,7 @@ import pandas as pd
 
 from crosscomb.logs.grid import MAX_GAP
 from crosscomb.logs.prepare import Completion, next_rows
+from crosscomb.logs.watch import reasons
 from crosscomb.models.vehicle import Vehicle
 from crosscomb.run.answers import Plan, Stream, advance, make_plan
 from crosscomb.run.handling import STATES, Handling
@@ -41,6 +42,8 @@ class LogEstimate:
         Slip angles of both axles and whether the car understeers or oversteers.
     extras : dict of str to (n,)
         What the filters tell beside beta, by ``<filter> <quantity> [unit]``; empty where nobody asked.
+    reason : (n,) str
+        Which channels are bad and how, such as ``ay spike; steer stuck``; empty where none is.
     """
 
     signals: Signals
@@ -52,6 +55,7 @@ class LogEstimate:
     motion: Motion
     handling: Handling
     extras: dict[str, np.ndarray]
+    reason: np.ndarray
 
     def table(self) -> pd.DataFrame:
         """Columns of the estimate file: t, beta, beta_std, active, status and beta of each filter."""
@@ -72,8 +76,8 @@ class LogEstimate:
         return pd.DataFrame({"t": self.signals.t, **self.handling._asdict()})
 
     def extras_table(self) -> pd.DataFrame:
-        """Columns of the file of what the filters tell beside beta: t and each of `extras`."""
-        return pd.DataFrame({"t": self.signals.t, **self.extras})
+        """Columns of the file of what the filters tell beside beta: t, each of `extras`, and `reason`."""
+        return pd.DataFrame({"t": self.signals.t, **self.extras, "reason": self.reason})
 
     def handling_shares(self) -> dict[str, float]:
         """Share of the time above `MIN_SPEED` in each state of handling; all 0 where the car never was that fast."""
@@ -172,9 +176,9 @@ def start_run(
 def next_estimate(run: Run, signals: Signals) -> LogEstimate:
     """Answers at the next rows of a log, at least one, in order of time."""
     rows = signals.rows()
-    next_rows(run.completion, rows)
+    faults = next_rows(run.completion, rows)
     made = {name: rows[:, COLUMN[name]].copy() for name in ("steer", "vx", "ax")}
-    return to_estimate(run.stream.plan, signals.with_columns("", **made), advance(run.stream, rows))
+    return to_estimate(run.stream.plan, signals.with_columns("", **made), advance(run.stream, rows, faults))
 
 
 def to_estimate(plan: Plan, signals: Signals, answers: np.ndarray) -> LogEstimate:
@@ -191,4 +195,5 @@ def to_estimate(plan: Plan, signals: Signals, answers: np.ndarray) -> LogEstimat
         Motion(*(told[name] for name in Motion._fields)),
         Handling(*slips, np.array(STATES, dtype=object)[told["state"]]),
         dict(zip(plan.extras, told["extras"], strict=True)),
+        reasons(told["faults"]),
     )

@@ -12,6 +12,7 @@ import pandas as pd
 
 from crosscomb.errors import UsageError
 from crosscomb.logs.prepare import next_rows
+from crosscomb.logs.watch import reason
 from crosscomb.models.vehicle import Vehicle
 from crosscomb.run.answers import advance
 from crosscomb.run.estimate import LogEstimate, next_estimate, start_run
@@ -44,6 +45,8 @@ class StreamEstimate(NamedTuple):
         Of floats.
     handling : Handling
         Of floats and the word.
+    reason : str
+        Which channels are bad and how, such as ``ay spike``; empty where none is.
     """
 
     t: float
@@ -55,6 +58,7 @@ class StreamEstimate(NamedTuple):
     vy: float
     motion: Motion
     handling: Handling
+    reason: str
 
     def at(self, x: float, y: float = 0.0) -> PointVelocity:
         """Velocity of the point x [m] ahead and y [m] to the left of the centre of gravity."""
@@ -110,8 +114,7 @@ class StreamingEstimator:
         row = sample_row(sample)
         rows, plan = row[None, :], self._run.stream.plan
         _require_later(rows[:, _T], self._run.stream.t)
-        next_rows(self._run.completion, rows)
-        answers = advance(self._run.stream, rows)
+        answers = advance(self._run.stream, rows, next_rows(self._run.completion, rows))
         told = dict(zip(plan.record.names or (), answers[0].tolist(), strict=True))
         beta, beta_std, motion = (
             told["beta"],
@@ -129,6 +132,7 @@ class StreamingEstimator:
             point_velocity(beta, beta_std, *motion, 0.0, 0.0)[1],
             motion,
             Handling(*slips, STATES[told["state"]]),
+            reason(told["faults"]),
         )
 
     def take(self, chunk: Signals | pd.DataFrame) -> LogEstimate:

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from crosscomb.selection.artefact import Artefact
-from crosscomb.selection.choice import blend
+from crosscomb.selection.choice import LEAD_TIME, blend
 from crosscomb.selection.correction import CorrectionState, correct, lag_gain, make_correction_state
 from crosscomb.selection.features import Memory, all_features, innovations_of, make_memory
 from crosscomb.selection.seen import Seen
@@ -47,6 +47,7 @@ class Selection:
     switch: SwitchState
     memory: Memory
     shares: np.ndarray  # (filters,)
+    leading: np.ndarray  # (2,) int, see `crosscomb.selection.choice.blend`
     correction: CorrectionState | None
 
 
@@ -60,6 +61,7 @@ def start_selection(artefact: Artefact) -> Selection:
         switch=make_switch_state(filters, first, switch_times(artefact.switch, 1.0 / artefact.rate)),
         memory=memory,
         shares=np.full(filters, -1.0),
+        leading=np.zeros(2, dtype=np.int64),
         correction=make_correction_state(artefact.correction) if artefact.correction else None,
     )
 
@@ -85,7 +87,9 @@ def select(selection: Selection, seen: Seen) -> Answer:
         decision = np.argmax(shares, axis=1)
     if artefact.choice is not None and artefact.choice.soft:
         gain = lag_gain(artefact.choice.lag, dt)
-        answer, std, active = blend(shares, selection.shares, beta, beta_std, gain)
+        answer, std, active = blend(
+            shares, selection.shares, selection.leading, beta, beta_std, gain, round(LEAD_TIME / dt)
+        )
     else:
         answer, std, active = switch(beta, beta_std, decision, artefact.switch, dt, selection.switch)
     std = artefact.trust.widen(std, beta)

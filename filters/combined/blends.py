@@ -24,7 +24,13 @@ import numpy as np
 from crosscomb.filters import columns as at
 from crosscomb.filters.algebra.dense import copy_into
 from crosscomb.filters.base import Gaussian, KernelFilter, below_gate, gaussian
-from crosscomb.filters.kinematic.kf import KinematicKF, KinematicNoise, kinematic_state, kinematic_step
+from crosscomb.filters.kinematic.kf import (
+    Kinematic,
+    KinematicKF,
+    KinematicNoise,
+    kinematic_state,
+    kinematic_step,
+)
 from crosscomb.filters.single_track.ekf import DynamicNoise, dynamic_step
 from crosscomb.models.compiled import inlined, kernel
 
@@ -32,7 +38,7 @@ from crosscomb.models.compiled import inlined, kernel
 class Members(NamedTuple):
     """State of a blend, changed in place by its kernel."""
 
-    kinematic: Gaussian  # vx, vy and biases
+    kinematic: Kinematic  # vx, vy and biases
     dynamic: Gaussian  # yaw_rate, beta
     kinematic_out: np.ndarray  # (3,)
     dynamic_out: np.ndarray  # (3,)

@@ -16,9 +16,10 @@ import numpy as np
 
 from crosscomb.filters import columns as at
 from crosscomb.filters.algebra.dense import copy_into
-from crosscomb.filters.base import Gaussian, below_gate
+from crosscomb.filters.base import below_gate
 from crosscomb.filters.combined.blends import mix
 from crosscomb.filters.kinematic.kf import (
+    Kinematic,
     KinematicKF,
     KinematicNoise,
     kinematic_state,
@@ -45,7 +46,7 @@ class CrossNoise(NamedTuple):
 class Crossed(NamedTuple):
     """State of the cross-combination, changed in place by its kernel."""
 
-    kinematic: Gaussian  # vx, vy and biases
+    kinematic: Kinematic  # vx, vy and biases
     dynamic: SigmaPointState  # u, v, r
     kinematic_out: np.ndarray  # (3,)
     dynamic_out: np.ndarray  # (3,)

@@ -25,7 +25,6 @@ import numpy as np
 from crosscomb.filters import columns as at
 from crosscomb.filters.base import (
     MAX_BETA,
-    Gaussian,
     KernelFilter,
     normal_log_density,
     starting,
@@ -66,16 +65,61 @@ MOST_ACCEL, MOST_YAW_RATE = 50.0, 10.0
 """No car does more [m/s^2, rad/s]: such a sample counts as missing."""
 
 
-def kinematic_state(noise: Any) -> Gaussian:
+BRIDGE = 0.1
+"""So long [s] accelerations and yaw rate are held where one of them is missing: no car changes its motion in it."""
+
+MEAN_TIME = 0.04
+"""Time constant of the mean that is then held [s]: a single sample may be vibration."""
+
+BRIDGE_ACCEL = 0.5
+"""Error of held accelerations [m/s^2 per sqrt(Hz)]."""
+
+
+class Kinematic(NamedTuple):
+    """State of the filter, as `Gaussian` with the inputs; changed in place by its kernel."""
+
+    mean: np.ndarray  # (4,)
+    cov: np.ndarray  # (4, 4)
+    running: np.ndarray  # (1,) 1 above the low-speed gate, 0 below
+    evidence: np.ndarray  # (1,) sum of the innovations' log densities; (0,) where nobody asks for it
+    held: (
+        np.ndarray
+    )  # (4,) means of ax, ay [m/s^2] and yaw rate [rad/s]; for how long one of them is missing [s]
+
+
+def kinematic_state(noise: Any) -> Kinematic:
     """Make an unstarted filter of four states, which knows no more of its biases than their size."""
     cov = np.diag([1.0, 1.0, noise.accel_bias**2, noise.accel_bias**2])
-    return Gaussian(np.zeros(4), cov, np.zeros(1, dtype=np.int64), np.empty(0))
+    held = np.array([math.nan, math.nan, math.nan, 0.0])
+    return Kinematic(np.zeros(4), cov, np.zeros(1, dtype=np.int64), np.empty(0), held)
 
 
 @inlined
 def inertial_known(ax, ay, yaw_rate):
     """Tell whether accelerations and yaw rate are there and possible."""
     return abs(ax) < MOST_ACCEL and abs(ay) < MOST_ACCEL and abs(yaw_rate) < MOST_YAW_RATE
+
+
+@inlined
+def felt(held, i, value, most, dt):
+    """A measured input, or where it is missing the mean of those before."""
+    if not abs(value) < most:
+        return held[i]
+    held[i] = value if math.isnan(held[i]) else held[i] + min(dt / MEAN_TIME, 1.0) * (value - held[i])
+    return value
+
+
+@inlined
+def take_inputs(state, sample, dt):
+    """Take ax, ay and yaw rate of a sample, over short holes means of those before; tell whether one is such a mean."""
+    ax, ay, yaw_rate, held = sample[at.AX], sample[at.AY], sample[at.YAW_RATE], state.held
+    missing = not inertial_known(ax, ay, yaw_rate)
+    held[3] = held[3] + dt if missing else 0.0
+    felt_x, felt_y = felt(held, 0, ax, MOST_ACCEL, dt), felt(held, 1, ay, MOST_ACCEL, dt)
+    turning = felt(held, 2, yaw_rate, MOST_YAW_RATE, dt)
+    if held[3] > BRIDGE + 1e-9:
+        return ax, ay, yaw_rate, False
+    return felt_x, felt_y, turning, missing
 
 
 @inlined
@@ -105,6 +149,16 @@ def kinematic_predict(state, ax, ay, yaw_rate, felt, other, noise, dt):
         density * density * dt, (density * density + scaled * scaled) * dt,
     )  # fmt: skip
     drift_biases(state, noise, dt)
+
+
+@inlined
+def predict_felt(state, sample, noise, dt):
+    """Predict the state over dt with what accelerometers and yaw rate sensor say, or said a moment ago."""
+    ax, ay, yaw_rate, bridged = take_inputs(state, sample, dt)
+    kinematic_predict(state, ax, ay, yaw_rate, 1.0, 0.0, noise, dt)
+    if bridged:
+        for i in range(2):
+            state.cov[i, i] += BRIDGE_ACCEL**2 * dt
 
 
 @inlined
@@ -316,7 +370,7 @@ def kinematic_step(state, sample, car, noise, dt, out):
     """
     if kinematic_start(state, sample, car, noise, dt, out):
         return math.nan, math.nan
-    kinematic_predict(state, sample[at.AX], sample[at.AY], sample[at.YAW_RATE], 1.0, 0.0, noise, dt)
+    predict_felt(state, sample, noise, dt)
     out[at.NIS], innovation_vx = kinematic_update(state, sample, noise)
     limit_slip(state.mean)
     innovation_vy = rolling_update(state, sample, car, noise, dt)
@@ -345,6 +399,6 @@ class KinematicKF(KernelFilter):
     told_by_likelihood = ("accel", "speed", "accel_bias")
     run_kernel = staticmethod(kinematic_run)
 
-    def make_state(self) -> Gaussian:
+    def make_state(self) -> Kinematic:
         """Make an unstarted filter."""
         return kinematic_state(self.noise)

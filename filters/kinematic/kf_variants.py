@@ -21,8 +21,9 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from crosscomb.filters import columns as at
-from crosscomb.filters.base import Gaussian, KernelFilter, bounded_slip, joined_nis
+from crosscomb.filters.base import KernelFilter, bounded_slip, joined_nis
 from crosscomb.filters.kinematic.kf import (
+    Kinematic,
     blind_update,
     inertial_known,
     kinematic_predict,
@@ -31,6 +32,7 @@ from crosscomb.filters.kinematic.kf import (
     kinematic_update,
     limit_biases,
     limit_slip,
+    predict_felt,
     propagate_biased,
     velocity_answer,
     velocity_update,
@@ -94,7 +96,7 @@ def zero_yaw_step(state, sample, car, noise, dt, out):
     """One sample of the measuring filter; `out` ``(3,)`` gets beta, its standard deviation and the NIS."""
     if kinematic_start(state, sample, car, noise, dt, out):
         return
-    kinematic_predict(state, sample[at.AX], sample[at.AY], sample[at.YAW_RATE], 1.0, 0.0, noise, dt)
+    predict_felt(state, sample, noise, dt)
     nis, _ = kinematic_update(state, sample, noise)
     share = straight_share(sample[at.YAW_RATE], noise.turning)
     if share > 0.0 and math.isfinite(sample[at.AY]):
@@ -151,7 +153,7 @@ def blend_step(state, sample, car, noise, dt, out):
     if share > 0.0 and inertial_known(sample[at.AX], sample[at.AY], sample[at.YAW_RATE]):
         blend_predict(state, sample, share, car, noise, dt)
     else:
-        kinematic_predict(state, sample[at.AX], sample[at.AY], sample[at.YAW_RATE], 1.0, 0.0, noise, dt)
+        predict_felt(state, sample, noise, dt)
     out[at.NIS], _ = kinematic_update(state, sample, noise)
     blind_update(state, sample[at.YAW_RATE], dt)
     limit_slip(state.mean)
@@ -175,7 +177,7 @@ class ZeroYawKF(KernelFilter):
     divisors = (*KernelFilter.divisors, "pseudo", "turning", "bias_time")
     run_kernel = staticmethod(zero_yaw_run)
 
-    def make_state(self) -> Gaussian:
+    def make_state(self) -> Kinematic:
         """Make an unstarted filter."""
         return kinematic_state(self.noise)
 
@@ -190,6 +192,6 @@ class BlendKF(KernelFilter):
     told_by_likelihood = ("accel", "speed", "accel_bias")
     run_kernel = staticmethod(blend_run)
 
-    def make_state(self) -> Gaussian:
+    def make_state(self) -> Kinematic:
         """Make an unstarted filter."""
         return kinematic_state(self.noise)

@@ -1,0 +1,100 @@
+"""What is missing makes an answer worse with time: doubt that grows while it lasts, and fades once it is over."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from crosscomb.filters import columns as at
+from crosscomb.models.compiled import inlined, kernel
+from crosscomb.signals import MIN_SPEED
+
+YAW_RATE_DOUBT, AY_DOUBT, STEER_DOUBT, VX_DOUBT = 0.10, 0.06, 0.03, 0.02
+"""How fast beta may go astray while yaw rate, ay, steering angle or speed are missing [rad/s]."""
+
+MOST_DOUBT = 0.5
+"""More is not doubted [rad]."""
+
+FADING = 0.7
+"""Time constant with which doubt fades once everything is there again [s]."""
+
+OUTAGE = 0.2
+"""Who misses something for longer than this [s] must recover."""
+
+RECOVERED = 1.1
+"""Recovered is who doubts at most so many times as much as before the outage."""
+
+SILENCE = 0.5
+"""After a silence of the log an answer recovers at least so long [s]."""
+
+DOUBT, BEFORE, MISSED, LEAST = range(4)
+
+
+def start_doubt(before: float = math.nan) -> np.ndarray:
+    """Make the state before the first sample of a drive.
+
+    Doubt [rad], beta_std before the outage [rad], its length [s], and for how long at least the answer recovers [s].
+    After a silence of the log `before` is what the doubt was then; the drive begins with having to recover.
+    """
+    return np.array([0.0, before, 0.0, 0.0 if math.isnan(before) else SILENCE])
+
+
+def next_doubt(state: np.ndarray, samples: np.ndarray, beta_std: np.ndarray, dt: float) -> np.ndarray:
+    """Widen beta_std by what is missing.
+
+    Parameters
+    ----------
+    state : (4,)
+        Changed in place.
+    samples : (n, 17)
+        As in `crosscomb.filters.base.Inputs`.
+    beta_std : (n,) [rad]
+        Of the answer; changed in place.
+    dt : float [s]
+
+    Returns
+    -------
+    (n,) bool
+        The answer recovers: all is there again, but beta_std is not yet what it was.
+    """
+    recovering = np.zeros(len(samples), dtype=np.bool_)
+    _doubt_run(state, samples, beta_std, dt, recovering)
+    return recovering
+
+
+@inlined
+def _growth(sample):
+    """How fast the answer may go astray [rad/s]; 0 where nothing is missing."""
+    growth = YAW_RATE_DOUBT if not math.isfinite(sample[at.YAW_RATE]) else 0.0
+    growth += AY_DOUBT if not math.isfinite(sample[at.AY]) else 0.0
+    return growth + STEER_DOUBT * sample[at.STEER_HELD] + VX_DOUBT * sample[at.VX_HELD]
+
+
+@kernel
+def _doubt_run(state, samples, beta_std, dt, recovering):
+    """All samples. `BEFORE` is NaN while there is nothing to recover from."""
+    fading = math.exp(-dt / FADING)
+    for k in range(beta_std.size):
+        sample, growth = samples[k], _growth(samples[k])
+        own = beta_std[k]
+        if not sample[at.VX] > MIN_SPEED:
+            state[DOUBT], state[MISSED] = 0.0, 0.0
+            if state[LEAST] == 0.0:
+                state[BEFORE] = math.nan
+        elif growth > 0.0:
+            if state[MISSED] == 0.0 and math.isnan(state[BEFORE]):
+                state[BEFORE] = own
+            state[MISSED] += dt
+            state[DOUBT] = min(state[DOUBT] + growth * dt, MOST_DOUBT)
+        else:
+            if 0.0 < state[MISSED] <= OUTAGE:
+                state[BEFORE] = math.nan
+            state[MISSED] = 0.0
+            state[DOUBT] *= fading
+        beta_std[k] = math.hypot(own, state[DOUBT])
+        state[LEAST] = max(state[LEAST] - dt, 0.0)
+        if growth == 0.0 and not math.isnan(state[BEFORE]):
+            recovering[k] = beta_std[k] > RECOVERED * state[BEFORE] or state[LEAST] > 0.0
+            if not recovering[k]:
+                state[BEFORE] = math.nan

@@ -1,0 +1,194 @@
+"""What no sensor can have said is no measurement: bad samples and channels of otherwise sound drives."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from crosscomb.filters.catalogue import DEFAULT_FILTERS
+from crosscomb.logs.prepare import complete
+from crosscomb.logs.watch import CHANNELS, count_faults, reasons, start_watch, watch_rows
+from crosscomb.models.vehicle import Vehicle, load_vehicle
+from crosscomb.run.doubt import OUTAGE, next_doubt, start_doubt
+from crosscomb.run.estimate import estimate_log
+from crosscomb.run.status import UNCERTAIN_STD
+from crosscomb.selection.artefact import load_artefact
+from crosscomb.signals import COLUMN, Signals, make_signals
+from crosscomb.training.simulation.simulate import simulate_log
+
+CAR = load_vehicle("generic_compact")
+SPIKES = {"vx": 50.0, "ax": 100.0, "ay": 100.0, "yaw_rate": 3.0, "steer": 1.0}
+ONSET = 1500
+
+
+@pytest.fixture(scope="module")
+def drive() -> Signals:
+    """Thirty seconds of a country road, without lost samples."""
+    log = simulate_log(CAR, "country_road", 5, duration=30.0)
+    frame = log.frame.drop(columns=["steer_wheel"])
+    return make_signals(frame.interpolate(limit_direction="both"), "drive")
+
+
+def watched(log: Signals, car: Vehicle = CAR) -> tuple[np.ndarray, np.ndarray]:
+    """Rows after the watch, and the words of each."""
+    rows = log.rows()
+    return rows, reasons(watch_rows(start_watch(), rows, car))
+
+
+def changed(log: Signals, channel: str, values: np.ndarray) -> Signals:
+    frame = log.frame.copy()
+    frame.loc[ONSET : ONSET + len(values) - 1, channel] = values
+    return Signals(log.name, frame)
+
+
+def test_a_sound_drive_is_left_as_it_is(drive: Signals) -> None:
+    rows, words = watched(drive)
+    assert set(words) == {""}
+    np.testing.assert_array_equal(rows, drive.rows())
+
+
+@pytest.mark.parametrize("channel", SPIKES)
+def test_a_spike_is_one_missing_sample(drive: Signals, channel: str) -> None:
+    here = drive.frame[channel].to_numpy()[ONSET] + SPIKES[channel]
+    rows, words = watched(changed(drive, channel, np.array([here])))
+    assert words[ONSET].startswith(channel)
+    assert np.isnan(rows[ONSET, COLUMN[channel]])
+    assert set(np.delete(words, ONSET)) == {""}
+
+
+@pytest.mark.parametrize(
+    ("channel", "value"), [("yaw_rate", 571.9), ("vx", 655.35), ("ax", 1e154), ("ay", -1e300)]
+)
+def test_an_impossible_value_is_out_of_range(drive: Signals, channel: str, value: float) -> None:
+    _, words = watched(changed(drive, channel, np.array([value])))
+    assert words[ONSET] == f"{channel} out of range"
+
+
+@pytest.mark.parametrize("channel", ["ax", "ay", "yaw_rate", "steer", "vx"])
+def test_a_stuck_channel_is_found_until_it_moves_again(drive: Signals, channel: str) -> None:
+    here = drive.frame[channel].to_numpy()[ONSET]
+    rows, words = watched(changed(drive, channel, np.full(600, here)))
+    stuck = np.array([f"{channel} stuck" in word for word in words])
+    assert 20 < int(np.argmax(stuck)) - ONSET < 250
+    assert np.isnan(rows[stuck, COLUMN[channel]]).all()
+    assert not stuck[ONSET + 700 :].any()
+
+
+@pytest.mark.parametrize("channel", ["ay", "yaw_rate", "steer"])
+def test_a_reversed_channel_is_found_while_the_car_turns(drive: Signals, channel: str) -> None:
+    tail = drive.frame[channel].to_numpy()[ONSET:]
+    rows, words = watched(changed(drive, channel, -tail))
+    found = np.array([f"{channel} reversed" in word for word in words])
+    turning = np.abs(drive.column("ay")) > 2.0
+    assert found.any()
+    first = int(np.argmax(found))
+    assert np.sum(turning[ONSET:first]) < 200
+    assert np.isnan(rows[found, COLUMN[channel]]).all()
+    others = [name for name in ("ay", "yaw_rate", "steer") if name != channel]
+    assert not any(f"{name} reversed" in word for name in others for word in words)
+
+
+def test_a_noise_free_cruise_is_not_stuck() -> None:
+    t = np.arange(3000) / 100.0
+    vx = np.minimum(2.0 * t, 20.0)
+    frame = {
+        "t": t,
+        "vx": vx,
+        "ax": np.where(t < 10.0, 2.0, 0.0),
+        "ay": 0.0 * t,
+        "yaw_rate": 0.0 * t,
+        "steer": 0.0 * t,
+    }
+    import pandas as pd
+
+    _, words = watched(make_signals(pd.DataFrame(frame), "cruise"))
+    assert set(words) == {""}
+
+
+def test_faults_are_counted_and_told(drive: Signals) -> None:
+    here = drive.frame["ay"].to_numpy()[ONSET] + 100.0
+    log = complete(changed(drive, "ay", np.array([here])), CAR)
+    assert log.notes == ("samples taken as missing: ay out of range 1",) or log.notes == (
+        "samples taken as missing: ay spike 1",
+    )
+    assert count_faults(np.zeros(5, dtype=np.int64)) == {}
+
+
+@settings(deadline=None)
+@given(
+    cuts=st.lists(st.integers(1, 2999), max_size=6),
+    channel=st.sampled_from(CHANNELS[:5]),
+    seed=st.integers(0, 99),
+)
+def test_pieces_of_any_length_are_watched_alike(drive, cuts: list[int], channel: str, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    whole = drive.rows()
+    rows = rng.choice(len(whole), 40)
+    whole[rows, COLUMN[channel]] = rng.choice([np.nan, 1e3, -50.0, 0.0], 40)
+    pieces = np.split(whole.copy(), sorted({cut for cut in cuts if cut < len(whole)}))
+    watch = start_watch()
+    codes = np.concatenate([watch_rows(watch, piece, CAR) for piece in pieces])
+    np.testing.assert_array_equal(watch_rows(start_watch(), whole, CAR), codes)
+    np.testing.assert_array_equal(np.concatenate(pieces), whole)
+
+
+ABSURD = st.floats(allow_nan=True, allow_infinity=True, width=64)
+
+
+@given(
+    values=st.lists(ABSURD, min_size=1, max_size=12),
+    channel=st.sampled_from(CHANNELS),
+    start=st.integers(500, 900),
+)
+def test_finite_out_whatever_comes_in(drive, values: list[float], channel: str, start: int) -> None:
+    frame = drive.frame.iloc[:1200].copy()
+    frame.loc[start : start + len(values) - 1, channel] = values
+    estimate = estimate_log(
+        make_signals(frame.reset_index(drop=True), "absurd"), CAR, load_artefact(), list(DEFAULT_FILTERS)
+    )
+    assert np.isfinite(estimate.beta).all()
+    assert np.isfinite(estimate.beta_std).all()
+    for beta in estimate.filters.values():
+        assert np.isfinite(beta).all()
+    before = slice(0, start)
+    sound = estimate_log(
+        make_signals(drive.frame.iloc[:1200], "sound"), CAR, load_artefact(), list(DEFAULT_FILTERS)
+    )
+    np.testing.assert_array_equal(estimate.beta[before], sound.beta[before])
+
+
+def samples(n: int, missing: slice) -> np.ndarray:
+    """A car at 20 m/s whose yaw rate is missing for a while."""
+    from crosscomb.filters import columns as at
+
+    made = np.zeros((n, at.SAMPLE_WIDTH))
+    made[:, at.VX] = 20.0
+    made[missing, at.YAW_RATE] = np.nan
+    return made
+
+
+def test_doubt_grows_in_an_outage_and_fades_after_it() -> None:
+    beta_std = np.full(1000, 0.01)
+    recovering = next_doubt(start_doubt(), samples(1000, slice(200, 400)), beta_std, 0.01)
+    assert (beta_std[:200] == 0.01).all()
+    assert np.all(np.diff(beta_std[200:400]) > 0.0)
+    assert np.all(np.diff(beta_std[400:700]) < 0.0)
+    assert not recovering[:400].any()
+    assert recovering[400]
+    last = int(np.flatnonzero(recovering)[-1])
+    assert beta_std[last + 1] <= 0.011 + 1e-9
+
+
+def test_a_short_hole_needs_no_recovery() -> None:
+    hole = slice(200, 200 + round(0.5 * OUTAGE / 0.01))
+    recovering = next_doubt(start_doubt(), samples(600, hole), np.full(600, 0.01), 0.01)
+    assert recovering.sum() < 60
+
+
+def test_uncertain_is_said_where_the_error_may_be_large(drive: Signals) -> None:
+    estimate = estimate_log(drive, CAR, load_artefact())
+    uncertain = np.array(["uncertain" in text for text in estimate.status])
+    fast = drive.column("vx") > 3.0
+    np.testing.assert_array_equal(uncertain, fast & (estimate.beta_std > UNCERTAIN_STD))
