@@ -120,7 +120,7 @@ class Watch(NamedTuple):
     before: np.ndarray  # (channels,) the one before it
     t: np.ndarray  # (channels,) time of the newest good sample [s]; -inf before the first
     noise: np.ndarray  # (channels,) standard deviation
-    count: np.ndarray  # (channels,) int, good samples
+    taken: np.ndarray  # (channels,) int, good samples
     since: np.ndarray  # (channels,) when the newest value came first, or the car began to move [s]
     longest: np.ndarray  # (channels,) longest rest in the moving car so far [s]
     changes: np.ndarray  # (channels,) int, new values in the moving car
@@ -214,7 +214,7 @@ def degrading(codes: np.ndarray, wheels: bool) -> np.ndarray:
 @inlined
 def _is_spike(watch, i, value, t, limits):
     """Tell whether a sample is further from the newest good one than the channel can have moved."""
-    if watch.count[i] < LEARNING:
+    if watch.taken[i] < LEARNING:
         return False
     reach = limits[i, _STEP] + WIDE * watch.noise[i] + limits[i, _RATE] * (t - watch.t[i])
     return abs(value - watch.newest[i]) > reach
@@ -224,20 +224,20 @@ def _is_spike(watch, i, value, t, limits):
 def _learn(watch, i, value, t, moving):
     """Take a good sample: noise from second differences, and how long a value rests."""
     gap = t - watch.t[i]
-    if watch.count[i] >= 2:
+    if watch.taken[i] >= 2:
         # Of white noise a second difference has sqrt(6) times the standard deviation, its magnitude 0.8 of that.
         seen = abs(value - 2.0 * watch.newest[i] + watch.before[i]) / 1.95
-        share = max(1.0 / (watch.count[i] - 1.0), min(gap / NOISE_TIME, 1.0))
+        share = max(1.0 / (watch.taken[i] - 1.0), min(gap / NOISE_TIME, 1.0))
         watch.noise[i] += share * (seen - watch.noise[i])
-    if value != watch.newest[i] or watch.count[i] == 0:
-        if moving and watch.count[i] > 0:
+    if value != watch.newest[i] or watch.taken[i] == 0:
+        if moving and watch.taken[i] > 0:
             watch.longest[i] = max(watch.longest[i], watch.t[i] - watch.since[i])
             watch.changes[i] += 1
         watch.since[i] = t
         watch.stuck[i] = 0
         watch.moved[i] = math.nan
     watch.before[i], watch.newest[i], watch.t[i] = watch.newest[i], value, t
-    watch.count[i] += 1
+    watch.taken[i] += 1
 
 
 @inlined
@@ -349,7 +349,7 @@ def _judge_each(watch, row, t, moving, limits):
         there = math.isfinite(value)
         if there:
             watch.lost[i] = 0
-        elif watch.count[i] > 0 and (watch.share[i] > DENSE or t - watch.t[i] > MISSED_AFTER):
+        elif watch.taken[i] > 0 and (watch.share[i] > DENSE or t - watch.t[i] > MISSED_AFTER):
             watch.lost[i] = 1
         watch.share[i] += ((1.0 if there else 0.0) - watch.share[i]) / SHARE_ROWS
         if not there:
