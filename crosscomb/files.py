@@ -158,6 +158,7 @@ def locked(folder: Path, name: str = "") -> Iterator[None]:
         Another run holds the lock, or the folder cannot be made or written.
     """
     path = folder / f".{name or 'crosscomb'}.lock"
+    made = [each for each in (folder, *folder.parents) if not each.exists()]
     try:
         folder.mkdir(parents=True, exist_ok=True)
         file = _lock(path)
@@ -176,6 +177,9 @@ def locked(folder: Path, name: str = "") -> Iterator[None]:
         if os.name != "posix":
             with suppress(OSError):
                 path.unlink(missing_ok=True)
+        with suppress(OSError):  # who wrote nothing leaves no folder
+            for each in made:
+                each.rmdir()
 
 
 def _lock(path: Path) -> BinaryIO | None:

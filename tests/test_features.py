@@ -36,12 +36,12 @@ TOLD = {
 
 @pytest.fixture(scope="module")
 def log() -> Signals:
-    """A slide with holes in ay and yaw rate, and an accelerometer that strikes out once."""
+    """A slide with holes in ay and yaw rate, and an accelerometer that strikes out."""
     log = simulate_log(CAR, "road_slide", 3, surface="wet", duration=8.0)
     frame = log.frame.copy()
     frame.loc[200:230, "ay"] = np.nan
     frame.loc[300:340, "yaw_rate"] = np.nan
-    frame.loc[500, "ay"] += 60.0
+    frame.loc[440:500, "ay"] += np.linspace(0.0, 60.0, 61)
     return replace(log, frame=frame)
 
 

@@ -9,17 +9,7 @@ INPUTS = 2_000
 test_of.__test__ = False  # type: ignore[attr-defined]
 
 
-@pytest.mark.parametrize(
-    "name",
-    [
-        pytest.param(
-            name, marks=pytest.mark.xfail(reason="needs monitored inputs, issue 14 item 1", strict=False)
-        )
-        if name == "signals"
-        else name
-        for name in TARGETS
-    ],
-)
+@pytest.mark.parametrize("name", TARGETS)
 def test_no_input_gives_a_traceback(name: str) -> None:
     tally = Tally(TARGETS[name])
     count = INPUTS * TARGETS[name].share // sum(target.share for target in TARGETS.values())

@@ -1,7 +1,8 @@
 """Watch the signals that are there: what no sensor of this car can have said is no measurement.
 
 Sample by sample, in order of time and without looking ahead, so that a log and its samples live give the same.
-A bad sample becomes NaN; a bad channel does so until it is good again. Nothing is learned from what was refused.
+A bad sample becomes NaN; a bad channel does so until it is good again, but for a steering angle that only looks bad.
+Nothing is learned from what was refused.
 """
 
 from __future__ import annotations
@@ -402,5 +403,6 @@ def _watch_run(watch, rows, wheelbase, limits, codes):
         _judge_signs(watch, dt)
         for i in range(_COUNT):
             codes[k] |= watch.faults[i] << (BITS * i)
-            if watch.faults[i] != GOOD:
+            # Drivers hold the wheel and counter slides: a steering angle that looks stuck or reversed is told, not taken out.
+            if watch.faults[i] != GOOD and not (i == STEER and watch.faults[i] >= STUCK):
                 row[_AT[i]] = math.nan

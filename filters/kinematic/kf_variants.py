@@ -34,6 +34,7 @@ from crosscomb.filters.kinematic.kf import (
     limit_slip,
     predict_felt,
     propagate_biased,
+    take_inputs,
     velocity_answer,
     velocity_update,
 )
@@ -151,6 +152,7 @@ def blend_step(state, sample, car, noise, dt, out):
         return
     share = straight_share(sample[at.YAW_RATE], noise.turning)
     if share > 0.0 and inertial_known(sample[at.AX], sample[at.AY], sample[at.YAW_RATE]):
+        take_inputs(state, sample, dt)
         blend_predict(state, sample, share, car, noise, dt)
     else:
         predict_felt(state, sample, noise, dt)

@@ -12,6 +12,9 @@ from crosscomb.filters import base
 from crosscomb.filters import columns as at
 from crosscomb.filters.base import Estimate, Inputs
 from crosscomb.filters.kinematic.kf import (
+    BRIDGE,
+    BRIDGE_ACCEL,
+    MEAN_TIME,
     MOST_ACCEL,
     MOST_BIAS,
     MOST_YAW_RATE,
@@ -34,6 +37,7 @@ class BiasedKalman(KalmanFilter):
         self.x, self.P = np.zeros((4, 1)), noise.accel_bias**2 * np.eye(4)
         self.keep = np.diag([1.0, 1.0, *[math.exp(-dt / noise.bias_time)] * 2])
         self.drift = noise.accel_bias**2 * (np.eye(4) - self.keep**2)
+        self.means, self.missing = np.full(3, np.nan), 0.0
 
     def rest(self) -> None:
         """Let the biases drift over a sample without motion."""
@@ -46,9 +50,22 @@ class BiasedKalman(KalmanFilter):
         self.P[:2, :] = self.P[:, :2] = 0.0
         self.P[0, 0], self.P[1, 1] = self.noise.speed**2, (vx * beta_std) ** 2
 
+    def bridge(self, sample: np.ndarray) -> tuple[np.ndarray, bool]:
+        """Inputs of a sample, those that are missing for a short while as their means; tell whether some are."""
+        felt = sample[[at.AX, at.AY, at.YAW_RATE]]
+        there = np.abs(felt) < [MOST_ACCEL, MOST_ACCEL, MOST_YAW_RATE]
+        share = min(self.dt / MEAN_TIME, 1.0)
+        means = np.where(np.isnan(self.means), felt, self.means + share * (felt - self.means))
+        self.means = np.where(there, means, self.means)
+        self.missing = 0.0 if there.all() else self.missing + self.dt
+        if there.all() or self.missing > BRIDGE + 1e-9:
+            return felt, False
+        return np.where(there, felt, self.means), True
+
     def move(self, sample: np.ndarray) -> None:
         """Predict over a sample."""
-        ax, ay, yaw_rate = sample[[at.AX, at.AY, at.YAW_RATE]].tolist()
+        inputs, bridged = self.bridge(sample)
+        ax, ay, yaw_rate = inputs.tolist()
         known = abs(ax) < MOST_ACCEL and abs(ay) < MOST_ACCEL and abs(yaw_rate) < MOST_YAW_RATE
         if not known:
             ax, ay, yaw_rate = 0.0, 0.0, 0.0
@@ -60,6 +77,8 @@ class BiasedKalman(KalmanFilter):
         density = self.noise.accel if known else self.noise.missing_accel
         across = math.hypot(density, self.noise.ay_scale * ay)
         added = self.drift + self.dt * np.diag([density, across, 0.0, 0.0]) ** 2
+        if bridged:
+            added[:2, :2] += self.dt * BRIDGE_ACCEL**2 * np.eye(2)
         self.predict(u=np.array([[ax], [ay]]), B=gain, F=f, Q=added)
 
     def measure(self, row: list[float], value: float, variance: float) -> float:
