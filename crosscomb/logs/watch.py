@@ -403,6 +403,6 @@ def _watch_run(watch, rows, wheelbase, limits, codes):
         _judge_signs(watch, dt)
         for i in range(_COUNT):
             codes[k] |= watch.faults[i] << (BITS * i)
-            # Drivers hold the wheel and counter slides: a steering angle that looks stuck or reversed is told, not taken out.
+            # Drivers hold the wheel and counter slides: a steering angle that looks stuck or reversed is only told.
             if watch.faults[i] != GOOD and not (i == STEER and watch.faults[i] >= STUCK):
                 row[_AT[i]] = math.nan

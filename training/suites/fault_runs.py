@@ -99,20 +99,24 @@ def try_fault(bench: Bench, fault: Fault) -> Outcome:
     if not bench.causal:
         return Outcome(*of, "rows before the fault change", Figures())
     try:
-        return _judged(*of, _trial_of(bench, fault))
+        trial = _trial_of(bench, fault)
+        return _judged(*of, trial) if trial else Outcome(*of, NOT_JUDGED, Figures())
     except UsageError as error:
         return Outcome(*of, f"refused: {error}", Figures())
     except Exception as error:  # a campaign of faults goes on after a crash, and says so
         return Outcome(*of, f"crash: {type(error).__name__}: {error}", Figures())
 
 
-def _trial_of(bench: Bench, fault: Fault) -> Trial:
+def _trial_of(bench: Bench, fault: Fault) -> Trial | None:
+    """The log with a fault and what came of it; None where the fault leaves nothing of the log."""
     log, end = bench.recording.signals, fault.lasts + AFTER
     if fault.channel in WHEELS:
         end = min(end, UNNEEDED)
     logged = fault.change(log, bench.onset)
     faulty = make_signals(logged.frame, log.name, log.source)
     there = (faulty.t >= bench.onset) & (faulty.t <= bench.onset + end)
+    if not there.any():
+        return None
     tail = part(faulty, there)
     # Rows that moved in time are the same rows where none is missing, else rows are known by their stamps.
     rows = np.flatnonzero(there)
