@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from crosscomb.filters import columns as at
 from crosscomb.filters.catalogue import DEFAULT_FILTERS
 from crosscomb.logs.prepare import complete
 from crosscomb.logs.watch import CHANNELS, count_faults, reasons, start_watch, watch_rows
@@ -137,6 +138,7 @@ def test_pieces_of_any_length_are_watched_alike(drive, cuts: list[int], channel:
 ABSURD = st.floats(allow_nan=True, allow_infinity=True, width=64)
 
 
+@settings(deadline=None, max_examples=40)
 @given(
     values=st.lists(ABSURD, min_size=1, max_size=12),
     channel=st.sampled_from(CHANNELS),
@@ -161,8 +163,6 @@ def test_finite_out_whatever_comes_in(drive, values: list[float], channel: str, 
 
 def samples(n: int, missing: slice) -> np.ndarray:
     """A car at 20 m/s whose yaw rate is missing for a while."""
-    from crosscomb.filters import columns as at
-
     made = np.zeros((n, at.SAMPLE_WIDTH))
     made[:, at.VX] = 20.0
     made[missing, at.YAW_RATE] = np.nan
@@ -171,7 +171,7 @@ def samples(n: int, missing: slice) -> np.ndarray:
 
 def test_doubt_grows_in_an_outage_and_fades_after_it() -> None:
     beta_std = np.full(1000, 0.01)
-    recovering = next_doubt(start_doubt(), samples(1000, slice(200, 400)), beta_std, 0.01)
+    recovering = next_doubt(start_doubt(), samples(1000, slice(200, 400)), np.zeros(1000), beta_std, 0.01)
     assert (beta_std[:200] == 0.01).all()
     assert np.all(np.diff(beta_std[200:400]) > 0.0)
     assert np.all(np.diff(beta_std[400:700]) < 0.0)
@@ -183,7 +183,7 @@ def test_doubt_grows_in_an_outage_and_fades_after_it() -> None:
 
 def test_a_short_hole_needs_no_recovery() -> None:
     hole = slice(200, 200 + round(0.5 * OUTAGE / 0.01))
-    recovering = next_doubt(start_doubt(), samples(600, hole), np.full(600, 0.01), 0.01)
+    recovering = next_doubt(start_doubt(), samples(600, hole), np.zeros(600), np.full(600, 0.01), 0.01)
     assert recovering.sum() < 60
 
 
@@ -192,3 +192,13 @@ def test_uncertain_is_said_where_the_error_may_be_large(drive: Signals) -> None:
     uncertain = np.array(["uncertain" in text for text in estimate.status])
     fast = drive.column("vx") > 3.0
     np.testing.assert_array_equal(uncertain, fast & (estimate.beta_std > UNCERTAIN_STD))
+
+
+def test_what_contradicts_itself_is_doubted() -> None:
+    """A yaw rate that is 2 deg/s off from some moment on, in a car that goes straight: about 4 deg in two seconds."""
+    made, beta_std = samples(3000, slice(0, 0)), np.full(3000, 0.001)
+    made[1500:, at.YAW_RATE] = np.radians(2.0)
+    next_doubt(start_doubt(), made, np.zeros(3000), beta_std, 0.01)
+    assert beta_std[1499] == pytest.approx(0.001)
+    assert np.degrees(beta_std[1900]) > 1.2
+    assert np.degrees(beta_std[2999]) < np.degrees(beta_std[1900])  # what lasts is usual

@@ -125,7 +125,7 @@ def _answers_at(stretch: Stretch, seen: Seen, out: np.ndarray) -> None:
         nothing = np.zeros(len(samples), dtype=np.int64)
         answer = Answer(seen.beta[:, 0], seen.beta_std[:, 0], nothing, nothing > 0, nothing)
     std = answer.beta_std.copy()
-    recovering = next_doubt(stretch.doubt, samples, std, dt)
+    recovering = next_doubt(stretch.doubt, samples, answer.beta, std, dt)
     status = status_codes(stretch.ages, samples, answer.outside, recovering, std, dt)
     motion = motion_of(stretch.yaw, samples, plan.vehicle, dt)
     valid = status & INVALID == 0

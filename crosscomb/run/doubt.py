@@ -1,4 +1,9 @@
-"""What is missing makes an answer worse with time: doubt that grows while it lasts, and fades once it is over."""
+"""Doubt that no filter has: what is missing makes an answer worse with time, and so does what contradicts itself.
+
+While something is missing doubt grows, and fades once it is over. What is there must agree: over some seconds the
+answer's beta changes as ay / vx - yaw_rate says (Atheupe 2023, eq. 18 and 19). What it does beside that, and beside
+what it has always done (offsets, the camber of roads), some sensor or the answer has wrong.
+"""
 
 from __future__ import annotations
 
@@ -28,29 +33,41 @@ RECOVERED = 1.1
 SILENCE = 0.5
 """After a silence of the log an answer recovers at least so long [s]."""
 
-DOUBT, BEFORE, MISSED, LEAST = range(4)
+TIE_TIME = 2.0
+"""Changes of beta are held against ay and yaw rate over so long [s]."""
+
+USUAL_TIME = 20.0
+"""What parts them for longer than this [s] is usual."""
+
+TIE_SHARE = 0.5
+"""Share of what parts them that is a standard deviation of beta."""
+
+DOUBT, BEFORE, MISSED, LEAST, TIED, USUAL, LAST = range(7)
 
 
 def start_doubt(before: float = math.nan) -> np.ndarray:
     """Make the state before the first sample of a drive.
 
-    Doubt [rad], beta_std before the outage [rad], its length [s], and for how long at least the answer recovers [s].
+    Doubt [rad], beta_std before the outage [rad], its length [s], and for how long at least the answer recovers [s];
+    what parts beta from ay and yaw rate, and usually does [rad], and the newest beta [rad].
     After a silence of the log `before` is what the doubt was then; the drive begins with having to recover.
     """
-    return np.array([0.0, before, 0.0, 0.0 if math.isnan(before) else SILENCE])
+    return np.array([0.0, before, 0.0, 0.0 if math.isnan(before) else SILENCE, 0.0, 0.0, math.nan])
 
 
-def next_doubt(state: np.ndarray, samples: np.ndarray, beta_std: np.ndarray, dt: float) -> np.ndarray:
-    """Widen beta_std by what is missing.
+def next_doubt(
+    state: np.ndarray, samples: np.ndarray, beta: np.ndarray, beta_std: np.ndarray, dt: float
+) -> np.ndarray:
+    """Widen beta_std by what is missing, and by what contradicts itself.
 
     Parameters
     ----------
-    state : (4,)
+    state : (7,)
         Changed in place.
     samples : (n, 17)
         As in `crosscomb.filters.base.Inputs`.
-    beta_std : (n,) [rad]
-        Of the answer; changed in place.
+    beta, beta_std : (n,) [rad]
+        Of the answer; beta_std is changed in place.
     dt : float [s]
 
     Returns
@@ -59,7 +76,7 @@ def next_doubt(state: np.ndarray, samples: np.ndarray, beta_std: np.ndarray, dt:
         The answer recovers: all is there again, but beta_std is not yet what it was.
     """
     recovering = np.zeros(len(samples), dtype=np.bool_)
-    _doubt_run(state, samples, beta_std, dt, recovering)
+    _doubt_run(state, samples, beta, beta_std, dt, recovering)
     return recovering
 
 
@@ -71,13 +88,28 @@ def _growth(sample):
     return growth + STEER_DOUBT * sample[at.STEER_HELD] + VX_DOUBT * sample[at.VX_HELD]
 
 
+@inlined
+def _tie_doubt(state, sample, beta, dt):
+    """Doubt from what parts the changes of beta from those that ay and yaw rate give."""
+    vx, last = sample[at.VX], state[LAST]
+    state[LAST] = beta
+    if not vx > MIN_SPEED or math.isnan(last):
+        state[TIED] = 0.0
+        return 0.0
+    state[TIED] -= state[TIED] * dt / TIE_TIME
+    if math.isfinite(sample[at.AY]) and math.isfinite(sample[at.YAW_RATE]):
+        state[TIED] += dt * (sample[at.AY] / vx - sample[at.YAW_RATE]) - (beta - last)
+    state[USUAL] += (state[TIED] - state[USUAL]) * dt / USUAL_TIME
+    return TIE_SHARE * abs(state[TIED] - state[USUAL])
+
+
 @kernel
-def _doubt_run(state, samples, beta_std, dt, recovering):
+def _doubt_run(state, samples, beta, beta_std, dt, recovering):
     """All samples. `BEFORE` is NaN while there is nothing to recover from."""
     fading = math.exp(-dt / FADING)
     for k in range(beta_std.size):
         sample, growth = samples[k], _growth(samples[k])
-        own = beta_std[k]
+        own = math.hypot(beta_std[k], _tie_doubt(state, sample, beta[k], dt))
         if not sample[at.VX] > MIN_SPEED:
             state[DOUBT], state[MISSED] = 0.0, 0.0
             if state[LEAST] == 0.0:
