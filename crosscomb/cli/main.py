@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import atexit
 import gc
+import os
 import sys
 from typing import Annotated
 
@@ -15,7 +16,7 @@ from crosscomb.cli.demo import demo
 from crosscomb.cli.estimate import check, estimate, filters
 from crosscomb.cli.identify import identify
 from crosscomb.cli.simulate import simulate, vehicle
-from crosscomb.cli.stop import Stopped, clean_up, stoppable
+from crosscomb.cli.stop import clean_up, stoppable, stopped_by
 from crosscomb.cli.train import train
 from crosscomb.cli.tune import tune
 from crosscomb.errors import UsageError, printable
@@ -33,12 +34,17 @@ def main() -> None:
     try:
         with stoppable():
             _run()
-    except Stopped as stop:
-        clean_up(stop.number)
-        sys.exit(128 + stop.number)
+    except BaseException:
+        number = stopped_by()
+        if not number:
+            raise
+        clean_up(number)
+        sys.exit(128 + number)
 
 
 def _run() -> None:
+    # A run that is stopped leaves it to loky's tracker to clear up, which would warn of that on the terminal.
+    os.environ.setdefault("PYTHONWARNINGS", "ignore:resource_tracker:UserWarning")
     # A run's 250,000 objects are its imports and live to the end: searching them for rubbish cost a tenth of it.
     gc.set_threshold(500_000)
     atexit.register(gc.freeze)

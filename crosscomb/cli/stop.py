@@ -31,6 +31,7 @@ class Stopped(BaseException):
 @contextmanager
 def stoppable() -> Iterator[None]:
     """Raise `Stopped` in here when a signal comes, and end the process where that does not help in time."""
+    _came.clear()
     heeded = [number for number in WORDS if signal.getsignal(number) != signal.SIG_IGN]
     if threading.current_thread() is not threading.main_thread():
         yield
@@ -58,9 +59,19 @@ def _put_back(before: Mapping[signal.Signals, object], wake: int, theirs: socket
     theirs.close()
 
 
+_came: list[int] = []
+
+
+def stopped_by() -> int:
+    """The signal that asked this run to end, 0 where none came: libraries turn `Stopped` into errors of their own."""
+    return _came[0] if _came else 0
+
+
 def _stop(number: int, _: FrameType | None) -> None:
     for each in WORDS:
         signal.signal(each, signal.SIG_IGN)
+    _came.append(number)
+    threading.excepthook = lambda _: None  # what other threads meet while all ends is no news
     raise Stopped(number)
 
 
