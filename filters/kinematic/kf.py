@@ -101,7 +101,7 @@ def inertial_known(ax, ay, yaw_rate):
 
 
 @inlined
-def felt(held, i, value, most, dt):
+def held_input(held, i, value, most, dt):
     """A measured input, or where it is missing the mean of those before."""
     if not abs(value) < most:
         return held[i]
@@ -115,8 +115,8 @@ def take_inputs(state, sample, dt):
     ax, ay, yaw_rate, held = sample[at.AX], sample[at.AY], sample[at.YAW_RATE], state.held
     missing = not inertial_known(ax, ay, yaw_rate)
     held[3] = held[3] + dt if missing else 0.0
-    felt_x, felt_y = felt(held, 0, ax, MOST_ACCEL, dt), felt(held, 1, ay, MOST_ACCEL, dt)
-    turning = felt(held, 2, yaw_rate, MOST_YAW_RATE, dt)
+    felt_x, felt_y = held_input(held, 0, ax, MOST_ACCEL, dt), held_input(held, 1, ay, MOST_ACCEL, dt)
+    turning = held_input(held, 2, yaw_rate, MOST_YAW_RATE, dt)
     if held[3] > BRIDGE + 1e-9:
         return ax, ay, yaw_rate, False
     return felt_x, felt_y, turning, missing
