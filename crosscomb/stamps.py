@@ -21,12 +21,14 @@ often than that, the rows are unordered."""
 class Stamps:
     """The times so far, taken piece by piece; of rows with one time the first stays."""
 
+    live: bool = False  # no row to come may be waited for: a deep fall is refused at once
     rows: int = 0
     dropped: int = 0
     newest: float = -math.inf  # of the rows that are kept [s]
     before: float = -math.inf  # of the row before, kept or not [s]
     kept: np.ndarray | None = None  # values of the newest row that is kept
     fault: str = ""  # of the first row that was dropped
+    word: str = ""  # of the newest one, "time repeats" or "time goes backwards"
     falls: int = 0  # how often time went back
     fall: tuple[str, float] = ("", 0.0)  # where it last did, and how far below the newest time [s]
     in_order: int = 0  # rows in order since then
@@ -63,6 +65,9 @@ class Stamps:
             )
         if not t.size:
             return np.ones(0, dtype=bool)
+        if t[0] > self.newest and (t[1:] > t[:-1]).all():
+            self._take(values, float(t[-1]), t)
+            return np.ones(t.size, dtype=bool)
         newest = np.maximum.accumulate(np.concatenate([[self.newest], t]))
         later = t > newest[:-1]
         last = np.maximum.accumulate(np.where(later, np.arange(t.size), -1))
@@ -72,11 +77,15 @@ class Stamps:
             self._drop(
                 values[row], kept, float(newest[row]) - t[row], before, t[row], source, f"row {rows[row]}"
             )
-        self.rows += t.size
-        self.newest, self.before = float(newest[-1]), float(t[-1])
-        if last[-1] >= 0:
-            self.kept = values[last[-1]].copy()
+        self._take(values[: last[-1] + 1], float(newest[-1]), t)
         return later
+
+    def _take(self, kept: np.ndarray, newest: float, t: np.ndarray) -> None:
+        """Move on behind rows at times `t` [s], of which the last of the `kept` ones is the `newest` one."""
+        self.rows += t.size
+        self.newest, self.before = newest, float(t[-1])
+        if len(kept):
+            self.kept = kept[-1].copy()
 
     def _drop(
         self,
@@ -89,8 +98,9 @@ class Stamps:
         row: str,
     ) -> None:
         """Count one row whose time `t` lies `depth` [s] below the newest one."""
-        at = f"{row}, column t: time {{}} ({before:.10g} then {t:.10g} s)"
-        fault = at.format("repeats" if depth == 0.0 else "goes backwards")
+        at = f"{row}, column t: {{}} ({before:.10g} then {t:.10g} s)"
+        self.word = "time repeats" if depth == 0.0 else "time goes backwards"
+        fault = at.format(self.word)
         if depth == 0.0 and kept is not None and _fills_others(values, kept):
             raise UsageError(
                 f"{source}: {fault} and the row fills other columns: merge the rows of one time into one"
@@ -98,9 +108,11 @@ class Stamps:
         self.fault = self.fault or fault
         self.dropped += 1
         if t < before:
-            self.falls, self.fall, self.in_order = self.falls + 1, (at.format("starts again"), depth), 1
+            self.falls, self.fall, self.in_order = self.falls + 1, (at.format("time starts again"), depth), 1
         else:
             self.in_order = self.in_order + 1 if t > before else 0
+        if self.live and depth > RESTART_FALL:
+            raise UsageError(f"{source}: {self.fall[0]}: reset() before a new log, or pass samples in order")
         deep = self.fall[1] > RESTART_FALL and self.falls <= RESTART_FALLS
         if deep and self.in_order >= RESTART_ROWS:
             raise UsageError(f"{source}: {self.fall[0]}: several runs in one file: split it there")
@@ -113,13 +125,15 @@ class Stamps:
         UsageError
             They are not few.
         """
-        if not self.dropped:
-            return []
         if self.dropped > max(FEW_SHARE * self.rows, min(FEW_ROWS, max(1, self.rows // 4))):
             share = f"{self.dropped} of {self.rows} rows are out of time"
             raise UsageError(f"{source}: {self.fault}; {share}: sort the rows and delete repeated ones")
+        return self.counted()
+
+    def counted(self) -> list[str]:
+        """Say how many rows were dropped, few or not."""
         count = "1 row" if self.dropped == 1 else f"{self.dropped} rows"
-        return [f"{count} dropped, out of time (first: {self.fault})"]
+        return [f"{count} dropped, out of time (first: {self.fault})"] if self.dropped else []
 
 
 def _fills_others(values: np.ndarray, kept: np.ndarray) -> bool:

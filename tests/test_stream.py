@@ -205,8 +205,8 @@ def test_vy_and_beta_agree(artefact, log):
         ({"vx": 3.0}, ("column t", "no time")),
         ({"t": None, "vx": 3.0}, ("column t", "no time")),
         ({"t": np.inf}, ("column t", "no time")),
-        ({"t": 0.0}, ("column t", "repeats", "reset()")),
-        ({"t": -0.5}, ("column t", "goes backwards", "0 then -0.5 s")),
+        ({"t": -1.5}, ("column t", "starts again", "0 then -1.5 s", "reset()")),
+        ({"t": 0.0, "steer_rear": 0.1}, ("column t", "repeats", "merge")),
         ({"t": 1.0, "vx": "fast"}, ("column vx", "'fast'", "m/s")),
         ([1.0, 2.0], ("list", "dict")),
     ],
@@ -225,11 +225,43 @@ def test_wrong_samples_are_refused_in_one_line_and_change_nothing(artefact, log,
     assert live.step(second) == other.step(second)
 
 
+def out_of_time(log: Signals, seed: int) -> pd.DataFrame:
+    """The rows with a few more that repeat a stamp or go back by up to half a second, with other values."""
+    rng = np.random.default_rng(seed)
+    places = np.sort(rng.choice(np.arange(60, len(log)), 4, replace=False))
+    late = log.frame.iloc[places].assign(t=log.t[places] - rng.choice([0.0, 0.01, 0.5], 4), ay=99.0)
+    return pd.concat([log.frame, late.set_axis(places + 0.5)]).sort_index().reset_index(drop=True)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_samples_out_of_time_are_dropped_as_rows_of_a_log_are(artefact, log, seed):
+    rows = out_of_time(log, seed)
+    signals = make_signals(rows, "late")
+    whole = estimate_log(signals, CAR, artefact)
+    assert len(whole.beta) == len(log)
+    live = StreamingEstimator(CAR, artefact)
+    answers = step_through(live, replace(log, frame=rows))
+    late = [k for k, one in enumerate(answers) if one.reason.startswith("time")]
+    assert len(late) == 4
+    for k in late:
+        assert answers[k].reason == (
+            "time repeats" if rows["t"][k] == rows["t"][k - 1] else "time goes backwards"
+        )
+        assert answers[k]._replace(reason="") == answers[k - 1]._replace(reason="")
+    kept = [one for k, one in enumerate(answers) if k not in late]
+    assert_same(of_samples(kept), everything(whole).drop(columns=["steer", "vx", "ax"]))
+    live.reset()
+    parts = in_chunks(live, replace(log, frame=rows), [1, 7, 350])
+    assert_same(pd.concat([everything(part) for part in parts], ignore_index=True), everything(whole))
+    notes = [note for part in parts for note in part.signals.notes if "out of time" in note]
+    assert sum(int(note.split()[0]) for note in notes) == 4
+
+
 @pytest.mark.parametrize(
     ("change", "words"),
     [
         (lambda frame: frame.rename(columns={"vx": "velocity"}), ("column velocity", "unknown")),
-        (lambda frame: frame.iloc[::-1], ("column t", "goes backwards")),
+        (lambda frame: frame.assign(t=-200.0 * frame["t"]), ("column t", "starts again", "reset()")),
         (lambda frame: frame.drop(columns="t"), ("column t", "no time")),
         (lambda frame: frame.iloc[:0], ("no rows",)),
         (lambda frame: frame.assign(vx="fast"), ("no number", "fast")),

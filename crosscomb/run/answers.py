@@ -145,10 +145,11 @@ class Stream:
     plan: Plan
     t: float = -math.inf  # of the newest row [s]
     stretch: Stretch | None = None
+    newest: np.ndarray = field(default_factory=lambda: np.empty(0))  # (1,) answer at the newest row
 
 
 def advance(stream: Stream, rows: np.ndarray, faults: np.ndarray) -> np.ndarray:
-    """Answers at the next rows ``(n, columns)``, at least one, completed and in order of time.
+    """Answers at the next rows ``(n, columns)``, completed and in order of time.
 
     Parameters
     ----------
@@ -163,6 +164,8 @@ def advance(stream: Stream, rows: np.ndarray, faults: np.ndarray) -> np.ndarray:
     (n,) records
         See `record_of`.
     """
+    if not len(rows):
+        return np.empty(0, stream.plan.record)
     t, parts = rows[:, _T], []
     starts = stretch_starts(t, stream.t)
     stream.t = float(t[-1])
@@ -176,4 +179,5 @@ def advance(stream: Stream, rows: np.ndarray, faults: np.ndarray) -> np.ndarray:
     answers = parts[0] if len(parts) == 1 else np.concatenate(parts)
     answers["faults"] = faults
     answers["status"][degrading(faults, stream.plan.artefact.sees_all)] |= DEGRADED
+    stream.newest = answers[-1:].copy()
     return answers

@@ -174,7 +174,7 @@ def start_run(
 
 
 def next_estimate(run: Run, signals: Signals) -> LogEstimate:
-    """Answers at the next rows of a log, at least one, in order of time."""
+    """Answers at the next rows of a log, in order of time."""
     rows = signals.rows()
     faults = next_rows(run.completion, rows)
     made = {name: rows[:, COLUMN[name]].copy() for name in ("steer", "vx", "ax")}

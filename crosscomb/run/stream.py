@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -14,7 +14,7 @@ from crosscomb.errors import UsageError
 from crosscomb.logs.prepare import next_rows
 from crosscomb.logs.watch import reason
 from crosscomb.models.vehicle import Vehicle
-from crosscomb.run.answers import advance
+from crosscomb.run.answers import Plan, advance
 from crosscomb.run.estimate import LogEstimate, next_estimate, start_run
 from crosscomb.run.handling import STATES, Handling
 from crosscomb.run.motion import Motion, PointVelocity, point_velocity
@@ -22,6 +22,7 @@ from crosscomb.run.status import TEXTS
 from crosscomb.run.tuned import Tuned
 from crosscomb.selection.artefact import Artefact
 from crosscomb.signals import COLUMN, UNITS, Signals
+from crosscomb.stamps import Stamps
 
 _T = COLUMN["t"]
 
@@ -46,7 +47,8 @@ class StreamEstimate(NamedTuple):
     handling : Handling
         Of floats and the word.
     reason : str
-        Which channels are bad and how, such as ``ay spike``; empty where none is.
+        Which channels are bad and how, such as ``ay spike``; empty where none is. ``time repeats`` or ``time goes
+        backwards`` where the sample was dropped and this is the answer before it once more.
     """
 
     t: float
@@ -71,8 +73,8 @@ class StreamingEstimator:
 
     The answers are those of `crosscomb.run.estimate.estimate_log` for the log of the same samples, bit for bit, also
     when they come in chunks. A sample is a mapping from column names (`crosscomb.signals.UNITS`) to SI values; what
-    is left out, None or NaN is "no measurement". t is needed and increases; after more than a second without a
-    sample everything begins anew.
+    is left out, None or NaN is "no measurement". t is needed and increases: a sample that is not later than all before
+    it is dropped, as a row of a log is, and told of. After more than a second without a sample everything begins anew.
 
     Parameters
     ----------
@@ -102,41 +104,30 @@ class StreamingEstimator:
     def reset(self) -> None:
         """Forget everything that came so far: the next sample is the first one of a new log."""
         self._run = start_run(self.vehicle, self.artefact, self.filters, self.tuned)
+        self._stamps = Stamps(live=True)
 
     def step(self, sample: Mapping[str, float] | pd.Series) -> StreamEstimate:
         """Take one sample.
 
+        One that repeats a time or goes back a little is dropped: the answer before it comes again, with the reason.
+
         Raises
         ------
         UsageError
-            An unknown column, a value that is no number, t missing or not later than the one before.
+            An unknown column, a value that is no number, t missing or more than a second back, or a repeated t whose
+            sample holds what the one before lacks.
         """
-        row = sample_row(sample)
-        rows, plan = row[None, :], self._run.stream.plan
-        _require_later(rows[:, _T], self._run.stream.t)
-        answers = advance(self._run.stream, rows, next_rows(self._run.completion, rows))
-        told = dict(zip(plan.record.names or (), answers[0].tolist(), strict=True))
-        beta, beta_std, motion = (
-            told["beta"],
-            told["beta_std"],
-            Motion(*(told[name] for name in Motion._fields)),
-        )
-        slips = told["slip_front"], told["slip_rear"], told["understeer"]
-        return StreamEstimate(
-            float(row[_T]),
-            beta,
-            beta_std,
-            plan.names[told["active"]],
-            TEXTS[told["status"]],
-            dict(zip(plan.names, told["filters"].tolist(), strict=True)),
-            point_velocity(beta, beta_std, *motion, 0.0, 0.0)[1],
-            motion,
-            Handling(*slips, STATES[told["state"]]),
-            reason(told["faults"]),
-        )
+        rows = sample_row(sample)[None, :]
+        stream = self._run.stream
+        if self._later(rows)[0]:
+            newest = advance(stream, rows, next_rows(self._run.completion, rows))
+            return _estimate_of(stream.plan, newest, stream.t)
+        return _estimate_of(stream.plan, stream.newest, stream.t)._replace(reason=self._stamps.word)
 
     def take(self, chunk: Signals | pd.DataFrame) -> LogEstimate:
         """Take a chunk of a log: rows that follow on those before.
+
+        Rows that repeat a time or go back a little are dropped as in `step`, and counted in the notes of the signals.
 
         Raises
         ------
@@ -157,23 +148,36 @@ class StreamingEstimator:
             signals = Signals("chunk", frame.replace([np.inf, -np.inf], np.nan))
         if not len(signals):
             raise UsageError("chunk: has no rows: pass at least one")
-        _require_later(signals.t, self._run.stream.t)
+        later = self._later(signals.rows())
+        if not later.all():
+            notes = *signals.notes, *self._stamps.counted()
+            signals = replace(signals, frame=signals.frame[later].reset_index(drop=True), notes=notes)
         return next_estimate(self._run, signals)
 
+    def _later(self, rows: np.ndarray) -> np.ndarray:
+        """Tell which of the next rows ``(n, columns)`` are later than all before them; a refusal changes nothing."""
+        stamps = replace(self._stamps, dropped=0, fault="")
+        later = stamps.later(rows, _T, "sample", stamps.rows + 1 + np.arange(len(rows)))
+        self._stamps = stamps
+        return later
 
-def _require_later(t: np.ndarray, newest: float) -> None:
-    """Refuse times ``(n,) [s]`` that do not increase from the `newest` one on."""
-    wrong = np.flatnonzero(~(np.diff(t, prepend=newest) > 0.0))
-    if not wrong.size:
-        return
-    row = int(wrong[0])
-    before = float(t[row - 1]) if row else newest
-    if not math.isfinite(t[row]):
-        raise UsageError("sample, column t: no time there: give t [s] with every sample")
-    what = "repeats" if t[row] == before else "goes backwards"
-    raise UsageError(
-        f"sample, column t: time {what} ({before:.10g} then {t[row]:.10g} s): "
-        f"pass samples in order, or reset() before a new log"
+
+def _estimate_of(plan: Plan, answer: np.ndarray, t: float) -> StreamEstimate:
+    """Put names to the answer ``(1,)`` at a sample."""
+    told = dict(zip(plan.record.names or (), answer[0].tolist(), strict=True))
+    beta, beta_std, motion = told["beta"], told["beta_std"], Motion(*(told[name] for name in Motion._fields))
+    slips = told["slip_front"], told["slip_rear"], told["understeer"]
+    return StreamEstimate(
+        t,
+        beta,
+        beta_std,
+        plan.names[told["active"]],
+        TEXTS[told["status"]],
+        dict(zip(plan.names, told["filters"].tolist(), strict=True)),
+        point_velocity(beta, beta_std, *motion, 0.0, 0.0)[1],
+        motion,
+        Handling(*slips, STATES[told["state"]]),
+        reason(told["faults"]),
     )
 
 
