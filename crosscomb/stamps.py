@@ -58,16 +58,16 @@ class Stamps:
             A row has no time, time starts again, or a row of a repeated time holds what the one before lacks.
         """
         t = values[:, place]
+        if not t.size:
+            return np.ones(0, dtype=bool)
+        if self.newest < t[0] and t[-1] < math.inf and (t.size == 1 or (t[1:] > t[:-1]).all()):
+            self._take(values, float(t[-1]), t)
+            return np.ones(t.size, dtype=bool)
         bad = np.flatnonzero(~np.isfinite(t))
         if bad.size:
             raise UsageError(
                 f"{source}: row {rows[bad[0]]}, column t: no time there: fill it in or delete the row"
             )
-        if not t.size:
-            return np.ones(0, dtype=bool)
-        if t[0] > self.newest and (t[1:] > t[:-1]).all():
-            self._take(values, float(t[-1]), t)
-            return np.ones(t.size, dtype=bool)
         newest = np.maximum.accumulate(np.concatenate([[self.newest], t]))
         later = t > newest[:-1]
         last = np.maximum.accumulate(np.where(later, np.arange(t.size), -1))

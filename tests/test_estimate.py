@@ -343,12 +343,28 @@ def test_a_single_sample_outside_the_training_is_not_said():
 )
 def test_outside_the_training_the_speed_gives_the_word(vx, word):
     """Up to walking speed the estimate does not come from what was trained, so nothing is extrapolated."""
+    assert outside_in_a_turn(vx, 1.0) == word
+
+
+def outside_in_a_turn(vx: float, yaw_rate: float, ay: float = 0.0) -> str:
+    """What is said after 0.6 s outside the training data."""
     samples = np.zeros((60, at.SAMPLE_WIDTH))
-    samples[:, at.VX] = vx
-    codes = status_codes(
-        start_ages(), samples, np.full(60, True), np.full(60, False), np.full(60, 0.01), 0.01
-    )
-    assert TEXTS[codes][-1] == word
+    samples[:, [at.VX, at.YAW_RATE, at.AY]] = vx, yaw_rate, ay
+    outside, no = np.full(60, True), np.full(60, False)
+    return str(TEXTS[status_codes(start_ages(), samples, outside, no, np.full(60, 0.001), 0.01)][-1])
+
+
+def test_straight_ahead_nothing_is_extrapolated():
+    assert outside_in_a_turn(70.0, 0.01) == "ok"
+    assert outside_in_a_turn(70.0, 0.05) == "extrapolating"
+    assert outside_in_a_turn(70.0, 0.0, 20.0) == "extrapolating"
+    assert outside_in_a_turn(70.0, np.nan) == "degraded+extrapolating"
+
+
+def test_ax_made_from_the_speed_is_not_missed_in_the_first_samples(lively, car, artefact):
+    frame = lively.frame.drop(columns="ax")
+    first = words_of(estimate_log(make_signals(frame, "log"), car, artefact))[:5]
+    assert not any("degraded" in words for words in first)
 
 
 def test_extrapolating_is_said_once_the_correction_lost_half_its_weight(lively, car):

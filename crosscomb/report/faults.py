@@ -125,7 +125,7 @@ def write_campaign(path: Path, campaign: Campaign, name: str, command: str) -> N
         "By channel, simulated and real together:",
         markdown_table(*channel_table(campaign)),
         "Over rows with ground truth above 3 m/s, with faults from the onset on; false alarms are onsets of degraded, "
-        "invalid or extrapolating:",
+        "invalid or extrapolating where no channel of the log lacks a sample, over all rows:",
         markdown_table(FIGURES_HEADER, figure_rows(campaign)),
         *(f"- {note}" for note in campaign.notes),
     ]

@@ -7,7 +7,8 @@ import math
 import numpy as np
 
 from crosscomb.filters import columns as at
-from crosscomb.models.compiled import kernel
+from crosscomb.logs.verdict import weigh
+from crosscomb.models.compiled import inlined, kernel
 from crosscomb.signals import MIN_SPEED
 
 STALE = 1.0
@@ -29,21 +30,29 @@ TEXTS = np.array(
 )  # fmt: skip
 """Text of each code: its words joined by ``+``, ``ok`` where none holds."""
 
-NEVER = 1 << 60
+NEVER = 1e18
 """Age in samples of what was never measured."""
 
 
 OUTSIDE_TIME = 0.5
 """The input is outside the training data for longer than it is inside by so much [s] before it is said."""
 
+TURN = 2.0
+"""Below this lateral acceleration [m/s^2] the car goes straight, and there is nothing to extrapolate."""
+
+TURN_TIME = 0.3
+"""Time constant of the mean of ay that tells of it [s]."""
+
+OF_VX, OF_STEER, OF_TURN, HAS_AX, MEAN_AY, OUTSIDE, _SAID = range(7)
+
 
 def start_ages() -> np.ndarray:
-    """State before the first sample of a drive ``(5,)``.
+    """State before the first sample of a drive ``(7,)``.
 
-    Samples since vx, steer, and yaw rate or ay were measured; samples outside the training data less those inside, and
-    1 while that is said.
+    Samples since vx, steer, and yaw rate or ay were measured; 1 once ax was; mean of ay [m/s^2]; and whether the input
+    is outside the training data, see `crosscomb.logs.verdict`.
     """
-    return np.array([NEVER, NEVER, NEVER, 0, 0])
+    return np.array([NEVER, NEVER, NEVER, 0.0, 0.0, 0.0, 0.0])
 
 
 def status_codes(
@@ -58,7 +67,7 @@ def status_codes(
 
     Parameters
     ----------
-    ages : (5,) int
+    ages : (7,)
         Changed in place.
     samples : (n, 17)
         As in `crosscomb.filters.base.Inputs`.
@@ -76,33 +85,42 @@ def status_codes(
         Places in `TEXTS`.
     """
     codes = np.empty(len(samples), dtype=np.int64)
-    _codes_run(ages, samples, outside, STALE / dt, max(round(OUTSIDE_TIME / dt), 1), codes)
+    _codes_run(ages, samples, outside, STALE / dt, dt, codes)
     fast = samples[:, at.VX] > MIN_SPEED
     return codes | RECOVERING * recovering | UNCERTAIN * (fast & (beta_std > UNCERTAIN_STD))
 
 
+@inlined
+def _turns(ages, sample, dt):
+    """Tell whether the car turns, by the yaw rate or by the mean of ay; what is missing tells of a turn."""
+    if math.isfinite(sample[at.AY]):
+        ages[MEAN_AY] += min(dt / TURN_TIME, 1.0) * (sample[at.AY] - ages[MEAN_AY])
+    by_yaw = sample[at.VX] * sample[at.YAW_RATE]
+    return not (abs(by_yaw) <= TURN and abs(ages[MEAN_AY]) <= TURN)
+
+
 @kernel
-def _codes_run(ages, samples, outside, stale, often, codes):
+def _codes_run(ages, samples, outside, stale, dt, codes):
     for k in range(codes.size):
         sample, vx = samples[k], samples[k, at.VX]
         no_ay, no_yaw_rate = not math.isfinite(sample[at.AY]), not math.isfinite(sample[at.YAW_RATE])
-        ages[0] = min(ages[0] + 1, NEVER) if sample[at.VX_HELD] == 1.0 else 0
-        ages[1] = min(ages[1] + 1, NEVER) if sample[at.STEER_HELD] == 1.0 else 0
-        ages[2] = min(ages[2] + 1, NEVER) if no_ay and no_yaw_rate else 0
+        ages[OF_VX] = ages[OF_VX] + 1.0 if sample[at.VX_HELD] == 1.0 else 0.0
+        ages[OF_STEER] = ages[OF_STEER] + 1.0 if sample[at.STEER_HELD] == 1.0 else 0.0
+        ages[OF_TURN] = ages[OF_TURN] + 1.0 if no_ay and no_yaw_rate else 0.0
         code = 0
         if REVERSE_SPEED <= vx <= MIN_SPEED:
             code |= LOW_SPEED
-        held = sample[at.VX_HELD] + sample[at.STEER_HELD] > 0.0
-        if held or no_ay or no_yaw_rate or not math.isfinite(sample[at.AX]):
+        # An ax that is made from vx needs a few samples of it: what was never there is not missed.
+        no_ax = not math.isfinite(sample[at.AX])
+        ages[HAS_AX] = max(ages[HAS_AX], 0.0 if no_ax else 1.0)
+        no_ax = no_ax and ages[HAS_AX] == 1.0
+        if sample[at.VX_HELD] + sample[at.STEER_HELD] > 0.0 or no_ay or no_yaw_rate or no_ax:
             code |= DEGRADED
-        ages[3] = min(ages[3] + 1, 2 * often) if outside[k] and vx > MIN_SPEED else max(ages[3] - 1, 0)
-        if ages[3] >= often:
-            ages[4] = 1
-        elif ages[3] == 0:
-            ages[4] = 0
-        if ages[4] == 1 and vx > MIN_SPEED:
+        turns = _turns(ages, sample, dt)
+        astray = outside[k] and turns and vx > MIN_SPEED
+        if weigh(ages[OUTSIDE:], astray, not astray, dt, OUTSIDE_TIME) and vx > MIN_SPEED:
             code |= EXTRAPOLATING
-        if max(ages[0], ages[1], ages[2]) > stale:
+        if max(ages[OF_VX], ages[OF_STEER], ages[OF_TURN]) > stale:
             code |= INVALID
         if vx < REVERSE_SPEED:
             code |= REVERSE

@@ -14,7 +14,7 @@ from crosscomb.signals import MIN_SPEED
 from crosscomb.training.parallel import in_parallel
 from crosscomb.training.recordings import Recording, read_recordings
 from crosscomb.training.simulation.simulate import simulate_recording
-from crosscomb.training.suites.fault_results import Campaign, Figures, Outcome, figures_of
+from crosscomb.training.suites.fault_results import Campaign, Figures, Outcome, figures_of, lost_rows
 from crosscomb.training.suites.fault_runs import Setup, make_bench, part, try_faults, try_others, try_scene
 from crosscomb.training.suites.fault_trials import Answers
 
@@ -84,7 +84,7 @@ def _real(recording: Recording, setup: Setup) -> Done:
 
 def _figures(recording: Recording, answers: Answers) -> Figures:
     log = recording.signals
-    return figures_of(log.t, answers, log.beta_ref, log.column("vx"))
+    return figures_of(log.t, answers, log.beta_ref, log.column("vx"), lost_rows(log))
 
 
 def _sound(recording: Recording, setup: Setup) -> Figures:

@@ -7,9 +7,11 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from crosscomb.logs.grid import MAX_GAP
+from crosscomb.signals import Signals
 from crosscomb.training.metrics import countable
 from crosscomb.training.suites.fault_criteria import NOT_JUDGED, PASSED
 from crosscomb.training.suites.fault_trials import ALARMS, WRONG, Answers, holds
+from crosscomb.training.suites.faults import CHANNELS
 
 
 @dataclass(frozen=True)
@@ -23,7 +25,7 @@ class Figures:
     inside, rows : int
         Rows whose truth lies within 1.96 beta_std, and all.
     alarms : int
-        Onsets of degraded, invalid or extrapolating.
+        False ones: onsets of degraded, invalid or extrapolating where no channel of the log lacks a sample.
     length : float
         Of the log [s].
     """
@@ -86,18 +88,41 @@ class Campaign:
     notes: list[str] = field(default_factory=list)
 
 
-def figures_of(t: np.ndarray, answers: Answers, truth: np.ndarray, vx: np.ndarray) -> Figures:
-    """Figures of an estimate beside the truth; all arrays ``(n,)``, vx as the sound log has it."""
+LOST_TIME = 0.15
+"""An alarm within this time [s] after a lost sample is a true one."""
+
+
+def lost_rows(log: Signals) -> np.ndarray:
+    """Rows ``(n,) bool`` shortly after one in which a channel that the log has lacks its sample."""
+    lost = np.any([~np.isfinite(log.column(name)) for name in CHANNELS if log.has(name)], axis=0)
+    newest = np.maximum.accumulate(np.where(lost, log.t, -np.inf))
+    return log.t - newest <= LOST_TIME
+
+
+def figures_of(
+    t: np.ndarray, answers: Answers, truth: np.ndarray, vx: np.ndarray, lost: np.ndarray | bool = False
+) -> Figures:
+    """Figures of an estimate beside the truth.
+
+    Parameters
+    ----------
+    t, truth, vx : (n,) [s], [rad], [m/s]
+        As the sound log has them.
+    answers : Answers
+    lost : (n,) bool
+        See `lost_rows`.
+    """
     counted = countable(truth, vx)
     steps = np.minimum(np.diff(t, append=t[-1]), MAX_GAP)
     error = np.abs(answers.beta - truth)
     wrong = counted & ~(error <= WRONG) & (answers.status == "ok")
     alarm = np.any([holds(answers.status, word) for word in ALARMS], axis=0)
+    onset = np.diff(alarm.astype(int), prepend=0) > 0
     return Figures(
         float(steps[wrong].sum()),
         float(steps[counted].sum()),
         int(np.sum(error[counted] <= 1.96 * answers.beta_std[counted])),
         int(counted.sum()),
-        int(np.sum(np.diff(alarm.astype(int), prepend=0) > 0)),
+        int(np.sum(onset & ~np.asarray(lost))),
         float(steps.sum()),
     )
