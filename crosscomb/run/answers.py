@@ -18,11 +18,13 @@ from crosscomb.models.vehicle import Vehicle
 from crosscomb.run.doubt import next_doubt, start_doubt
 from crosscomb.run.drive import Drive, make_filters, name_filters, next_seen, start_drive
 from crosscomb.run.handling import Handling, HandlingState, handling_of, start_handling
+from crosscomb.run.health import next_told
 from crosscomb.run.motion import Motion, motion_of, start_motion
 from crosscomb.run.status import DEGRADED, INVALID, start_ages, status_codes
 from crosscomb.run.tuned import Tuned, with_tuned
 from crosscomb.selection.answer import Answer, Selection, select, start_selection
 from crosscomb.selection.artefact import Artefact
+from crosscomb.selection.health import HEALTHY, HealthState, start_health
 from crosscomb.selection.seen import Seen
 from crosscomb.signals import COLUMN, UNITS
 
@@ -41,6 +43,11 @@ class Plan:
     switched: bool
     extras: list[str]  # names of what the filters tell beside beta, where somebody asked
     record: np.dtype  # of one answer, see `record_of`
+
+    @property
+    def watched(self) -> list[str]:
+        """Names of the filters whose health is told."""
+        return [self.names[member] for member in self.members]
 
 
 def make_plan(
@@ -62,17 +69,30 @@ def make_plan(
             f"{', '.join(names)}: no more than beta to tell: name in `filters` one of {', '.join(others)}"
         )
     told = told if extras else []
-    return Plan(vehicle, artefact, names, made, members, switched, told, record_of(len(names), len(told)))
+    return Plan(
+        vehicle,
+        artefact,
+        names,
+        made,
+        members,
+        switched,
+        told,
+        record_of(len(names), len(members), len(told)),
+    )
 
 
-def record_of(filters: int, extras: int) -> np.dtype:
+def record_of(filters: int, members: int, extras: int) -> np.dtype:
     """Type of the record of one answer: one table of them is cheap to cut and to join, also for a single sample.
 
     Active filter, status and state are codes: places in the plan's names, `status.TEXTS` and `handling.STATES`; faults
-    are those of the row, see `crosscomb.logs.watch`.
+    are those of the row, see `crosscomb.logs.watch`, health that of the members, see `crosscomb.selection.health`.
     """
     numbers = ("beta", "beta_std", *Motion._fields, *Handling._fields[:-1])
-    wide = [("filters", np.float64, (filters,)), ("extras", np.float64, (extras,))]
+    wide = [
+        ("filters", np.float64, (filters,)),
+        ("extras", np.float64, (extras,)),
+        ("health", np.int64, (members,)),
+    ]
     codes = ("active", "status", "state", "faults")
     return np.dtype([*((name, np.float64) for name in numbers), *wide, *((name, np.int64) for name in codes)])
 
@@ -85,6 +105,7 @@ class Stretch:
     grid: Grid
     drive: Drive
     selection: Selection
+    health: HealthState
     newest: np.ndarray  # (1,) answer at the newest grid point
     ages: np.ndarray = field(default_factory=start_ages)
     yaw: np.ndarray = field(default_factory=start_motion)
@@ -100,6 +121,7 @@ def start_stretch(plan: Plan, t_start: float) -> Stretch:
         start_grid(t_start, rate, list(UNITS)),
         start_drive(plan.vehicle, plan.filters, rate, window, bool(plan.extras)),
         start_selection(plan.artefact),
+        start_health(len(plan.members)),
         np.zeros(1, plan.record),
     )
 
@@ -117,21 +139,30 @@ def next_answers(stretch: Stretch, rows: np.ndarray) -> np.ndarray:
 
 
 def _answers_at(stretch: Stretch, seen: Seen, out: np.ndarray) -> None:
-    """Write the answers at grid points: selection, status, motion and handling."""
+    """Write the answers at grid points: health of the filters, selection, status, motion and handling."""
     plan, samples, dt = stretch.plan, seen.inputs.samples, seen.inputs.dt
+    told = next_told(stretch.health, stretch.drive, seen, plan.members)
     if plan.switched:
-        answer = select(stretch.selection, seen.only(plan.members))
+        answer = select(stretch.selection, told.seen, told.healthy)
     else:
         nothing = np.zeros(len(samples), dtype=np.int64)
-        answer = Answer(seen.beta[:, 0], seen.beta_std[:, 0], nothing, nothing > 0, nothing)
+        answer = Answer(told.seen.beta[:, 0], told.seen.beta_std[:, 0], nothing, nothing > 0, nothing)
     std = answer.beta_std.copy()
     recovering = next_doubt(stretch.doubt, samples, answer.beta, std, dt)
     status = status_codes(stretch.ages, samples, answer.outside, recovering, std, dt)
+    status |= DEGRADED * (told.codes != HEALTHY).any(axis=1) | INVALID * told.lost
     motion = motion_of(stretch.yaw, samples, plan.vehicle, dt)
     valid = status & INVALID == 0
     handling = handling_of(stretch.handling, samples, answer.beta, std, motion, valid, plan.vehicle, dt)
     out["beta"], out["beta_std"], out["status"] = answer.beta, std, status
-    out["active"], out["filters"] = np.array(plan.members)[answer.active], seen.beta
+    out["active"], out["health"], out["filters"] = (
+        np.array(plan.members)[answer.active],
+        told.codes,
+        seen.beta,
+    )
+    lost = ~np.isfinite(seen.beta[:, plan.members])
+    if lost.any():  # told of one that is not finite is what the healthy ones say
+        out["filters"][:, plan.members] = np.where(lost, told.seen.beta, seen.beta[:, plan.members])
     for name, values in (motion._asdict() | handling._asdict()).items():
         out[name] = values
     if plan.extras:

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from crosscomb.errors import UsageError
+from crosscomb.filters import columns as at
 from crosscomb.filters.base import HELD, Estimate, KernelFilter, Started, next_inputs
 from crosscomb.filters.catalogue import make_filter, require_listed
 from crosscomb.logs.grid import to_grid
@@ -22,7 +23,7 @@ from crosscomb.models.vehicle import Vehicle
 from crosscomb.selection.artefact import Artefact, FilterSettings
 from crosscomb.selection.seen import Seen
 from crosscomb.selection.windows import Past, WindowSettings, next_windows
-from crosscomb.signals import COLUMN, Signals
+from crosscomb.signals import COLUMN, MIN_SPEED, Signals
 
 _AY, _YAW_RATE = COLUMN["ay"], COLUMN["yaw_rate"]
 
@@ -36,12 +37,15 @@ class Drive:
 
     vehicle: Vehicle
     filters: Sequence[KernelFilter]
-    started: Sequence[Started]
+    started: list[Started]
     dt: float  # [s]
     window: WindowSettings
     extras: bool  # keep all that the filters tell beside beta
     held: np.ndarray
     past: Past
+    handed: (
+        np.ndarray
+    )  # (filters,) beta from which a filter begins anew at its next sample [rad]; NaN where none does
 
 
 def start_drive(
@@ -64,15 +68,16 @@ def start_drive(
     """
     dt = 1.0 / rate
     started = [estimator.start(dt) for estimator in filters]
-    return Drive(vehicle, filters, started, dt, window, extras, np.zeros(len(HELD)), Past())
+    handed = np.full(len(filters), np.nan)
+    return Drive(vehicle, filters, started, dt, window, extras, np.zeros(len(HELD)), Past(), handed)
 
 
 def next_seen(drive: Drive, points: np.ndarray) -> Seen:
     """Take the next grid points of a drive ``(n, columns)``, completed and as of `Signals.rows`."""
     inputs = next_inputs(drive.held, points, drive.vehicle, drive.dt)
     running = [
-        begin(len(points), estimator.advance, started, inputs.samples)
-        for estimator, started in zip(drive.filters, drive.started, strict=True)
+        begin(len(points), estimator.advance, drive.started[i], _handed_over(drive, i, inputs.samples))
+        for i, estimator in enumerate(drive.filters)
     ]
     windows = next_windows(drive.past, points[:, _AY], points[:, _YAW_RATE], drive.window)
     estimates = [wait() for wait in running]
@@ -88,6 +93,37 @@ def next_seen(drive: Drive, points: np.ndarray) -> Seen:
         extras=[_told(estimate, estimator.extras) for estimator, estimate in both] if drive.extras else [],
         windows=windows,
     )
+
+
+def begin_anew(drive: Drive, which: int, beta: float) -> None:
+    """Let a filter begin anew at its next sample, from a beta [rad]."""
+    drive.started[which] = drive.filters[which].start(drive.dt)
+    drive.handed[which] = beta
+
+
+def _handed_over(drive: Drive, which: int, samples: np.ndarray) -> np.ndarray:
+    """Samples ``(n, 17)`` as a filter takes them that may begin anew.
+
+    Filters start from the beta of a car that rolls without tyre slip. Steered by beta in front and in the rear a car
+    rolls in the direction of beta.
+    """
+    beta, drive.handed[which] = drive.handed[which], np.nan
+    if not (np.isfinite(beta) and samples[0, at.VX] > MIN_SPEED):
+        return samples
+    samples = samples.copy()
+    samples[0, [at.STEER, at.STEER_REAR]] = beta
+    return samples
+
+
+def take_again(drive: Drive, which: int, seen: Seen, rows: slice) -> None:
+    """Write anew what a filter says in some rows, where it has begun anew in between."""
+    estimator = drive.filters[which]
+    estimate = estimator.advance(drive.started[which], _handed_over(drive, which, seen.inputs.samples[rows]))
+    seen.beta[rows, which], seen.beta_std[rows, which] = estimate.beta, estimate.beta_std
+    seen.nis[rows, which] = estimate.nis
+    seen.innovations[which][rows] = _told(estimate, estimator.innovations())
+    if seen.extras:
+        seen.extras[which][rows] = _told(estimate, estimator.extras)
 
 
 def begin(samples: int, work: Callable[..., Any], *given: Any) -> Callable[[], Any]:

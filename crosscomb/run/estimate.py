@@ -14,6 +14,7 @@ from crosscomb.logs.watch import reasons
 from crosscomb.models.vehicle import Vehicle
 from crosscomb.run.answers import Plan, Stream, advance, make_plan
 from crosscomb.run.handling import STATES, Handling
+from crosscomb.run.health import with_health
 from crosscomb.run.motion import Motion, PointVelocity, velocity_at
 from crosscomb.run.status import TEXTS
 from crosscomb.run.tuned import Tuned
@@ -43,7 +44,8 @@ class LogEstimate:
     extras : dict of str to (n,)
         What the filters tell beside beta, by ``<filter> <quantity> [unit]``; empty where nobody asked.
     reason : (n,) str
-        Which channels are bad and how, such as ``ay spike; steer stuck``; empty where none is.
+        Which channels and filters are bad and how, such as ``ay spike; filter dynamic_ekf diverged``; empty where
+        none is.
     """
 
     signals: Signals
@@ -195,5 +197,5 @@ def to_estimate(plan: Plan, signals: Signals, answers: np.ndarray) -> LogEstimat
         Motion(*(told[name] for name in Motion._fields)),
         Handling(*slips, np.array(STATES, dtype=object)[told["state"]]),
         dict(zip(plan.extras, told["extras"], strict=True)),
-        reasons(told["faults"]),
+        with_health(reasons(told["faults"]), plan.watched, answers["health"]),
     )

@@ -17,6 +17,7 @@ from crosscomb.models.vehicle import Vehicle
 from crosscomb.run.answers import Plan, advance
 from crosscomb.run.estimate import LogEstimate, next_estimate, start_run
 from crosscomb.run.handling import STATES, Handling
+from crosscomb.run.health import with_health
 from crosscomb.run.motion import Motion, PointVelocity, point_velocity
 from crosscomb.run.status import TEXTS
 from crosscomb.run.tuned import Tuned
@@ -47,8 +48,8 @@ class StreamEstimate(NamedTuple):
     handling : Handling
         Of floats and the word.
     reason : str
-        Which channels are bad and how, such as ``ay spike``; empty where none is. ``time repeats`` or ``time goes
-        backwards`` where the sample was dropped and this is the answer before it once more.
+        Which channels and filters are bad and how, as in `LogEstimate`; empty where none is. ``time repeats`` or
+        ``time goes backwards`` where the sample was dropped and this is the answer before it once more.
     """
 
     t: float
@@ -167,6 +168,7 @@ def _estimate_of(plan: Plan, answer: np.ndarray, t: float) -> StreamEstimate:
     told = dict(zip(plan.record.names or (), answer[0].tolist(), strict=True))
     beta, beta_std, motion = told["beta"], told["beta_std"], Motion(*(told[name] for name in Motion._fields))
     slips = told["slip_front"], told["slip_rear"], told["understeer"]
+    channels = np.array([reason(told["faults"])], dtype=object)
     return StreamEstimate(
         t,
         beta,
@@ -177,7 +179,7 @@ def _estimate_of(plan: Plan, answer: np.ndarray, t: float) -> StreamEstimate:
         point_velocity(beta, beta_std, *motion, 0.0, 0.0)[1],
         motion,
         Handling(*slips, STATES[told["state"]]),
-        reason(told["faults"]),
+        with_health(channels, plan.watched, answer["health"])[0],
     )
 
 

@@ -66,7 +66,7 @@ def start_selection(artefact: Artefact) -> Selection:
     )
 
 
-def select(selection: Selection, seen: Seen) -> Answer:
+def select(selection: Selection, seen: Seen, healthy: np.ndarray | None = None) -> Answer:
     """Take the next samples of a drive.
 
     Parameters
@@ -75,8 +75,13 @@ def select(selection: Selection, seen: Seen) -> Answer:
         Its arrays change.
     seen : Seen
         Of the artefact's filters, in its order.
+    healthy : (n, filters) bool, optional
+        An unhealthy filter is not selected and has no share, while there is a healthy one; without it all are.
     """
     artefact, dt, beta, beta_std = selection.artefact, seen.inputs.dt, seen.beta, seen.beta_std
+    heard = beta
+    if healthy is not None:
+        heard = np.where(healthy | ~healthy.any(axis=1, keepdims=True), beta, np.nan)
     features = all_features(seen, selection.memory) if artefact.sees_all else seen.windows
     asked = features if artefact.tree_sees_all else seen.windows
     outside = artefact.tree.outside(asked)
@@ -88,10 +93,10 @@ def select(selection: Selection, seen: Seen) -> Answer:
     if artefact.choice is not None and artefact.choice.soft:
         gain = lag_gain(artefact.choice.lag, dt)
         answer, std, active = blend(
-            shares, selection.shares, selection.leading, beta, beta_std, gain, round(LEAD_TIME / dt)
+            shares, selection.shares, selection.leading, heard, beta_std, gain, round(LEAD_TIME / dt)
         )
     else:
-        answer, std, active = switch(beta, beta_std, decision, artefact.switch, dt, selection.switch)
+        answer, std, active = switch(heard, beta_std, decision, artefact.switch, dt, selection.switch)
     std = artefact.trust.widen(std, beta)
     if artefact.correction is not None and selection.correction is not None:
         anchor = artefact.filter_names.index(artefact.correction.anchor)
