@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from crosscomb.filters import columns as at
 from crosscomb.filters.catalogue import DEFAULT_FILTERS
 from crosscomb.logs.prepare import complete
-from crosscomb.logs.watch import CHANNELS, count_faults, reasons, start_watch, watch_rows
+from crosscomb.logs.watch import CHANNELS, count_faults, in_words, reasons, start_watch, watch_rows
 from crosscomb.models.vehicle import Vehicle, load_vehicle
 from crosscomb.run.doubt import OUTAGE, next_doubt, start_doubt
 from crosscomb.run.estimate import estimate_log
@@ -18,6 +18,7 @@ from crosscomb.run.status import UNCERTAIN_STD
 from crosscomb.selection.artefact import load_artefact
 from crosscomb.signals import COLUMN, Signals, make_signals
 from crosscomb.training.simulation.simulate import simulate_log
+from crosscomb.training.suites.faults import unsigned_speed
 
 CAR = load_vehicle("generic_compact")
 SPIKES = {"vx": 50.0, "ax": 100.0, "ay": 100.0, "yaw_rate": 3.0, "steer": 1.0}
@@ -91,6 +92,52 @@ def test_a_reversed_channel_is_found_while_the_car_turns(drive: Signals, channel
     assert not any(f"{name} reversed" in word for name in others for word in words)
 
 
+def test_an_ax_of_the_wrong_sign_is_found_and_stays_found(drive: Signals) -> None:
+    rows, words = watched(changed(drive, "ax", -drive.frame["ax"].to_numpy()[ONSET:]))
+    found = np.array([word == "ax reversed" for word in words])
+    assert 20 < int(np.argmax(found)) - ONSET < 300
+    assert found[int(np.argmax(found)) :].mean() > 0.98
+    assert np.isnan(rows[found, COLUMN["ax"]]).all()
+
+
+def test_an_offset_of_ax_is_no_wrong_sign(drive: Signals) -> None:
+    for offset in (-0.5, 0.5):  # a road of five in a hundred
+        ax = drive.frame["ax"].to_numpy()[ONSET:] + offset
+        _, words = watched(changed(drive, "ax", ax))
+        assert set(words) == {""}
+
+
+def test_a_speed_that_changes_its_sign_is_mended(drive: Signals) -> None:
+    rows, words = watched(changed(drive, "vx", -drive.frame["vx"].to_numpy()[ONSET:]))
+    assert set(words[:ONSET]) == {""}
+    assert set(words[ONSET:]) == {"vx reversed"}
+    np.testing.assert_array_equal(rows, drive.rows())
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_car_that_reverses_with_an_unsigned_speed_is_found(seed: int) -> None:
+    log = simulate_log(CAR, "reversing", seed, duration=32.0)
+    estimate = estimate_log(unsigned_speed(log), CAR, load_artefact())
+    vx = log.column("vx")
+    forward = np.maximum.accumulate(np.where(vx > -0.5, log.t, log.t[0]))
+    reverse = np.array(["reverse" in text for text in estimate.status])
+    assert np.sum(log.t - forward > 2.0) > 100
+    assert reverse[log.t - forward > 2.0].mean() > 0.95
+    assert not reverse[vx > 0.5].any()
+    late = reverse & (log.t - forward > 2.0)
+    assert set(estimate.reason[late]) == {"vx reversed"}
+    signed = estimate_log(log, CAR, load_artefact())
+    assert not any("reversed" in word for word in signed.reason)
+
+
+@pytest.mark.parametrize("manoeuvre", ["stop_and_go", "road_slide", "u_turn", "handbrake_turn"])
+@pytest.mark.parametrize("seed", range(2))
+def test_no_car_that_goes_forwards_is_said_to_reverse(manoeuvre: str, seed: int) -> None:
+    log = complete(simulate_log(CAR, manoeuvre, seed, surface="wet", duration=20.0), CAR)
+    _, words = watched(unsigned_speed(log))
+    assert not any("vx reversed" in word for word in words)
+
+
 def test_a_noise_free_cruise_is_not_stuck() -> None:
     t = np.arange(3000) / 100.0
     vx = np.minimum(2.0 * t, 20.0)
@@ -115,6 +162,11 @@ def test_faults_are_counted_and_told(drive: Signals) -> None:
         "samples taken as missing: ay spike 1",
     )
     assert count_faults(np.zeros(5, dtype=np.int64)) == {}
+    words = in_words({"ay spike": 2, "vx reversed": 3, "steer stuck": 4, "vx stuck": 5})
+    assert words == (
+        "samples taken as missing: ay spike 2, vx stuck 5; samples whose sign was mended: vx reversed 3; "
+        "samples that look bad: steer stuck 4"
+    )
 
 
 @settings(deadline=None)

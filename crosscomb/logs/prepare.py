@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from crosscomb.logs.watch import CHANNELS, Watch, count_faults, start_watch, watch_rows
+from crosscomb.logs.watch import CHANNELS, Watch, count_faults, in_words, start_watch, watch_rows
 from crosscomb.models.compiled import kernel
 from crosscomb.models.vehicle import Vehicle
 from crosscomb.signals import COLUMN, WHEEL_SPEEDS, Signals
@@ -67,8 +67,7 @@ class Completion:
             elif column in self.made:
                 notes[_NAMES[column]] = f"{note}, until its first sample at t = {self.first[column]:g} s"
         if self.faults:
-            each = ", ".join(f"{fault} {count}" for fault, count in self.faults.most_common())
-            notes["faults"] = f"samples taken as missing: {each}"
+            notes["faults"] = in_words(dict(self.faults.most_common()))
         return notes
 
 

@@ -1,7 +1,8 @@
 """Watch the signals that are there: what no sensor of this car can have said is no measurement.
 
 Sample by sample, in order of time and without looking ahead, so that a log and its samples live give the same.
-A bad sample becomes NaN; a bad channel does so until it is good again, but for a steering angle that only looks bad.
+A bad sample becomes NaN; a bad channel does so until it is good again, but for a steering angle that only looks bad
+and for a speed of the wrong sign, which is mended.
 Nothing is learned from what was refused.
 """
 
@@ -9,6 +10,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -16,6 +18,7 @@ import numpy as np
 from crosscomb.logs.watch_rules import (
     CHANNELS,
     COUNT,
+    FACTOR,
     FAULTS,
     GOOD,
     LIMITS,
@@ -24,12 +27,14 @@ from crosscomb.logs.watch_rules import (
     MOVING,
     NOW,
     PLACES,
+    REVERSED,
     STEER,
     STUCK,
     VX,
     judge_each,
     judge_rest,
     judge_signs,
+    judge_way,
     take_means,
 )
 from crosscomb.models.compiled import kernel
@@ -60,9 +65,14 @@ class Watch(NamedTuple):
     doubt: np.ndarray  # (channels, 2) that its sign is right, see `crosscomb.logs.verdict`
     sample: np.ndarray  # (channels,) of the row, NaN where it is bad
     faults: np.ndarray  # (channels,) int, of the row
-    means: np.ndarray  # (8,) see `take_means`
+    means: np.ndarray  # (13,) see `take_means`
     sliding: np.ndarray  # (1,) int, 1 while the driver counters a slide
+    calm: np.ndarray  # (1,) time since the car went straight [s]
     clock: np.ndarray  # (2,) time of the newest row, time in the moving car [s]
+    way: (
+        np.ndarray
+    )  # (5,) factor on vx, 1 where that has no sign or had one, ax over time [m/s] and time since a stop
+    backwards: np.ndarray  # (2, 2) that the car reverses and that it does not, see `crosscomb.logs.verdict`
 
 
 def start_watch() -> Watch:
@@ -77,8 +87,8 @@ def start_watch() -> Watch:
     return Watch(
         numbers(), numbers(), np.full(COUNT, -math.inf), numbers(), codes(), numbers(), numbers(), codes(), codes(),
         numbers(), codes(),
-        numbers(), np.zeros((COUNT, 2)), numbers(), codes(), np.zeros(8), np.zeros(1, dtype=np.int64),
-        np.array([-math.inf, 0.0]),
+        numbers(), np.zeros((COUNT, 2)), numbers(), codes(), np.zeros(13), np.zeros(1, dtype=np.int64), np.zeros(1),
+        np.array([-math.inf, 0.0]), np.array([1.0, 0.0, 0.0, 0.0, 0.0]), np.array([[0.0, 0.0], [0.0, 1.0]]),
     )  # fmt: skip
 
 
@@ -100,7 +110,7 @@ def watch_rows(watch: Watch, rows: np.ndarray, vehicle: Vehicle) -> np.ndarray:
         `BITS` bits for each of `CHANNELS`: the code of its fault.
     """
     codes = np.zeros(len(rows), dtype=np.int64)
-    _watch_run(watch, rows, vehicle.wheelbase, LIMITS, codes)
+    _watch_run(watch, rows, vehicle.wheelbase, vehicle.cg_to_rear_axle, LIMITS, codes)
     return codes
 
 
@@ -135,6 +145,19 @@ def count_faults(codes: np.ndarray) -> Counter[str]:
     return found
 
 
+def in_words(faults: Mapping[str, int]) -> str:
+    """Say what became of the bad samples that `count_faults` counted."""
+    became: dict[str, list[str]] = {}
+    for fault, count in faults.items():
+        what = "samples taken as missing"
+        if fault == f"{CHANNELS[VX]} {FAULTS[REVERSED]}":
+            what = "samples whose sign was mended"
+        elif fault in (f"{CHANNELS[STEER]} {FAULTS[kind]}" for kind in (STUCK, REVERSED)):
+            what = "samples that look bad"
+        became.setdefault(what, []).append(f"{fault} {count}")
+    return "; ".join(f"{what}: {', '.join(each)}" for what, each in became.items())
+
+
 def degrading(codes: np.ndarray, wheels: bool) -> np.ndarray:
     """Tell in which rows of these codes ``(n,)`` something is bad or missed that an estimate needs ``(n,) bool``.
 
@@ -144,7 +167,7 @@ def degrading(codes: np.ndarray, wheels: bool) -> np.ndarray:
 
 
 @kernel
-def _watch_run(watch, rows, wheelbase, limits, codes):
+def _watch_run(watch, rows, wheelbase, to_rear, limits, codes):
     """All rows."""
     clock = watch.clock
     for k in range(rows.shape[0]):
@@ -155,12 +178,18 @@ def _watch_run(watch, rows, wheelbase, limits, codes):
         moving = watch.newest[VX] > MIN_SPEED
         clock[NOW] = t
         clock[MOVING] += dt if moving else 0.0
+        judge_way(watch, row, wheelbase, dt)
         judge_each(watch, row, t, moving, limits)
         judge_rest(watch, t, moving, wheelbase)
-        take_means(watch, wheelbase, dt)
-        judge_signs(watch, dt)
+        take_means(watch, wheelbase, to_rear, dt)
+        judge_signs(watch, to_rear, dt)
+        if watch.way[FACTOR] < 0.0 and watch.faults[VX] == GOOD:
+            watch.faults[VX] = REVERSED
         for i in range(COUNT):
-            codes[k] |= watch.faults[i] << (BITS * i)
-            # Drivers hold the wheel and counter slides: a steering angle that looks stuck or reversed is only told.
-            if watch.faults[i] != GOOD and not (i == STEER and watch.faults[i] >= STUCK):
+            fault = watch.faults[i]
+            codes[k] |= fault << (BITS * i)
+            # Drivers hold the wheel and counter slides: a steering angle that looks stuck or reversed is only told. The
+            # sign of vx is mended.
+            told = (i == STEER and fault >= STUCK) or (i == VX and fault == REVERSED)
+            if fault != GOOD and not told:
                 row[PLACES[i]] = math.nan
