@@ -52,10 +52,10 @@ LEARNING = 30
 AT_REST = 0.3
 """No channel is stuck before it rests for so long [s]."""
 
-LONGER = 4.0
+LONGER = 3.4
 """Nor before it rests for so many times as long as it ever did in the moving car before."""
 
-KNOWN_AFTER = 3.0
+KNOWN_AFTER = 1.5
 """Time in the moving car [s] after which it is known how long a channel rests."""
 
 TIE_TIME = 0.2
@@ -86,10 +86,16 @@ MOST_AX = 4.0
 LITTLE = 0.02
 """Share of it that is enough where a channel rests far longer than ever."""
 
-MOST_STEER = 0.015
+MOST_STEER = 0.01
 """While the steering rests, the angle that the turn needs moves less than this [rad]."""
 
-YAW_LAG = 0.4
+STEER_SHARE = 0.05
+"""And by less than this share of itself."""
+
+LITTLE_STEER = 0.1
+"""Share of it that is enough where the steering rests far longer than ever."""
+
+YAW_LAG = 0.3
 """The car follows its steering within this [s]."""
 
 LONG_STEP = 0.5
@@ -178,11 +184,11 @@ def _learn(watch, i, value, t, moving):
 
 
 @inlined
-def _rests(watch, i, t, moving, tied, most, lag):
+def _rests(watch, i, t, moving, tied, most, little, lag):
     """Tell whether a channel is stuck, by what follows it after a lag.
 
-    That moves on by `most`, or a little while the channel rests far longer than ever; then for accelerations and yaw
-    rate, which are never still, it is enough that another of them is alive.
+    That moves on by `most`, or by less the longer the channel rests in comparison with any rest before, down to
+    `little`; for accelerations and yaw rate, which are never still, it is then enough that another of them is alive.
     """
     if not moving:
         watch.since[i] = t
@@ -190,17 +196,18 @@ def _rests(watch, i, t, moving, tied, most, lag):
     rest = t - watch.since[i]
     if math.isnan(watch.moved[i]) or rest < lag:
         watch.moved[i] = tied
-    known = (
-        watch.changes[i] > LEARNING and watch.clock[MOVING] > KNOWN_AFTER and rest > LONGER * watch.longest[i]
-    )
-    apart = abs(tied - watch.moved[i])
-    if AX <= i <= YAW_RATE:
-        newest = max(watch.since[AX], watch.since[AY], watch.since[YAW_RATE])
-        known = known and t - newest < MISSED_AFTER
-    else:
-        known = known and apart > LITTLE * most
-    if rest > AT_REST and (apart > most or known):
-        watch.stuck[i] = 1
+    if rest > AT_REST:
+        enough = most
+        if watch.changes[i] > LEARNING and watch.clock[MOVING] > KNOWN_AFTER:
+            ever = max(watch.longest[i], 1e-3)
+            enough = max(most * min((LONGER - rest / ever) / (LONGER - 1.0), 1.0), little)
+        apart = abs(tied - watch.moved[i])
+        if AX <= i <= YAW_RATE:
+            newest = max(watch.since[AX], watch.since[AY], watch.since[YAW_RATE])
+            if enough == little and t - newest < MISSED_AFTER:
+                apart = math.inf
+        if apart > enough:
+            watch.stuck[i] = 1
     return watch.stuck[i] == 1
 
 
@@ -380,15 +387,17 @@ def judge_rest(watch, t, moving, wheelbase):
     vx = max(watch.newest[VX], MIN_SPEED)
     ay, by_yaw, by_ax = watch.means[OF_AY], watch.means[OF_YAW], watch.means[OF_AX]
     for i in range(COUNT):
-        tied, most, lag = by_ax, MOST_REST, 0.0
+        tied, most, little, lag = by_ax, MOST_REST, LITTLE * MOST_REST, 0.0
         if i == STEER:
-            tied, most, lag = by_yaw * wheelbase / (vx * vx), MOST_STEER, YAW_LAG
+            tied = by_yaw * wheelbase / (vx * vx)
+            most, lag = MOST_STEER + STEER_SHARE * abs(tied), YAW_LAG
+            little = LITTLE_STEER * most
         elif i == AY:
             tied = by_yaw
         elif i == YAW_RATE:
             tied, most = ay / vx, MOST_REST / vx
         elif i == AX:
             tied, most = ay, MOST_AX
-        if math.isfinite(watch.sample[i]) and _rests(watch, i, t, moving, tied, most, lag):
+        if math.isfinite(watch.sample[i]) and _rests(watch, i, t, moving, tied, most, little, lag):
             watch.faults[i] = STUCK
             watch.sample[i] = math.nan
