@@ -326,7 +326,8 @@ def test_a_single_sample_outside_the_training_is_not_said():
     samples[:, at.VX] = 20.0
     outside = np.zeros(100, dtype=bool)
     outside[[10, 40, 41, 80]] = True
-    codes = status_codes(start_ages(), samples, outside, np.zeros(100, dtype=bool), np.full(100, 0.01), 0.01)
+    no, doubt = np.zeros(100, dtype=bool), np.full(100, 0.01)
+    codes = status_codes(start_ages(), samples, outside, no, 0.0 * doubt, doubt, 0.01)
     assert set(TEXTS[codes]) == {"ok"}
 
 
@@ -350,8 +351,18 @@ def outside_in_a_turn(vx: float, yaw_rate: float, ay: float = 0.0) -> str:
     """What is said after 0.6 s outside the training data."""
     samples = np.zeros((60, at.SAMPLE_WIDTH))
     samples[:, [at.VX, at.YAW_RATE, at.AY]] = vx, yaw_rate, ay
-    outside, no = np.full(60, True), np.full(60, False)
-    return str(TEXTS[status_codes(start_ages(), samples, outside, no, np.full(60, 0.001), 0.01)][-1])
+    outside, no, doubt = np.full(60, True), np.full(60, False), np.full(60, 0.001)
+    return str(TEXTS[status_codes(start_ages(), samples, outside, no, 0.0 * doubt, doubt, 0.01)][-1])
+
+
+def test_a_spin_is_invalid_until_the_car_is_caught():
+    """At 20 m/s with 0.5 rad/s of yaw rate and without ay beta falls by 29 deg/s: 40 deg are 0.3 s ahead at 31."""
+    degrees = np.array([-29.0, -32.0, -60.0, -25.0, -21.0, -19.0, -25.0])
+    samples = np.zeros((7, at.SAMPLE_WIDTH))
+    samples[:, [at.VX, at.YAW_RATE]] = 20.0, 0.5
+    no, doubt = np.full(7, False), np.full(7, 0.001)
+    codes = status_codes(start_ages(), samples, no, no, np.radians(degrees), doubt, 0.01)
+    assert TEXTS[codes].tolist() == ["ok", *["invalid"] * 4, "ok", "ok"]
 
 
 def test_straight_ahead_nothing_is_extrapolated():

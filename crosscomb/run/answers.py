@@ -149,7 +149,7 @@ def _answers_at(stretch: Stretch, seen: Seen, out: np.ndarray) -> None:
         answer = Answer(told.seen.beta[:, 0], told.seen.beta_std[:, 0], nothing, nothing > 0, nothing)
     std = answer.beta_std.copy()
     recovering = next_doubt(stretch.doubt, samples, answer.beta, std, dt)
-    status = status_codes(stretch.ages, samples, answer.outside, recovering, std, dt)
+    status = status_codes(stretch.ages, samples, answer.outside, recovering, answer.beta, std, dt)
     status |= DEGRADED * (told.codes != HEALTHY).any(axis=1) | INVALID * told.lost
     motion = motion_of(stretch.yaw, samples, plan.vehicle, dt)
     valid = status & INVALID == 0

@@ -43,16 +43,22 @@ TURN = 2.0
 TURN_TIME = 0.3
 """Time constant of the mean of ay that tells of it [s]."""
 
-OF_VX, OF_STEER, OF_TURN, HAS_AX, MEAN_AY, OUTSIDE, _SAID = range(7)
+SPUN, CAUGHT = math.radians(40.0), math.radians(20.0)
+"""With more sideslip than the first the car spins: no filter is believed until it is less than the second [rad]."""
+
+AHEAD = 0.3
+"""Where ay and yaw rate say that beta will be by then [s] counts."""
+
+OF_VX, OF_STEER, OF_TURN, HAS_AX, MEAN_AY, OUTSIDE, _SAID, SPINS = range(8)
 
 
 def start_ages() -> np.ndarray:
-    """State before the first sample of a drive ``(7,)``.
+    """State before the first sample of a drive ``(8,)``.
 
-    Samples since vx, steer, and yaw rate or ay were measured; 1 once ax was; mean of ay [m/s^2]; and whether the input
-    is outside the training data, see `crosscomb.logs.verdict`.
+    Samples since vx, steer, and yaw rate or ay were measured; 1 once ax was; mean of ay [m/s^2]; whether the input is
+    outside the training data, see `crosscomb.logs.verdict`; 1 while the car spins.
     """
-    return np.array([NEVER, NEVER, NEVER, 0.0, 0.0, 0.0, 0.0])
+    return np.array([NEVER, NEVER, NEVER, 0.0, 0.0, 0.0, 0.0, 0.0])
 
 
 def status_codes(
@@ -60,6 +66,7 @@ def status_codes(
     samples: np.ndarray,
     outside: np.ndarray,
     recovering: np.ndarray,
+    beta: np.ndarray,
     beta_std: np.ndarray,
     dt: float,
 ) -> np.ndarray:
@@ -67,7 +74,7 @@ def status_codes(
 
     Parameters
     ----------
-    ages : (7,)
+    ages : (8,)
         Changed in place.
     samples : (n, 17)
         As in `crosscomb.filters.base.Inputs`.
@@ -75,7 +82,7 @@ def status_codes(
         The input lies outside the training data.
     recovering : (n,) bool
         See `crosscomb.run.doubt.next_doubt`.
-    beta_std : (n,) [rad]
+    beta, beta_std : (n,) [rad]
         Of the answer.
     dt : float [s]
 
@@ -85,7 +92,7 @@ def status_codes(
         Places in `TEXTS`.
     """
     codes = np.empty(len(samples), dtype=np.int64)
-    _codes_run(ages, samples, outside, STALE / dt, dt, codes)
+    _codes_run(ages, samples, outside, beta, STALE / dt, dt, codes)
     fast = samples[:, at.VX] > MIN_SPEED
     return codes | RECOVERING * recovering | UNCERTAIN * (fast & (beta_std > UNCERTAIN_STD))
 
@@ -99,8 +106,21 @@ def _turns(ages, sample, dt):
     return not (abs(by_yaw) <= TURN and abs(ages[MEAN_AY]) <= TURN)
 
 
+@inlined
+def _spins(ages, sample, beta):
+    """Tell whether the car spins, by the answer and by where ay and yaw rate say that it goes."""
+    vx, turned = sample[at.VX], 0.0
+    if vx > MIN_SPEED and math.isfinite(sample[at.AY]) and math.isfinite(sample[at.YAW_RATE]):
+        turned = AHEAD * (sample[at.AY] / vx - sample[at.YAW_RATE])
+    if not vx > MIN_SPEED or abs(beta) < CAUGHT:
+        ages[SPINS] = 0.0
+    elif abs(beta) > SPUN or abs(beta + turned) > SPUN:
+        ages[SPINS] = 1.0
+    return ages[SPINS] == 1.0
+
+
 @kernel
-def _codes_run(ages, samples, outside, stale, dt, codes):
+def _codes_run(ages, samples, outside, beta, stale, dt, codes):
     for k in range(codes.size):
         sample, vx = samples[k], samples[k, at.VX]
         no_ay, no_yaw_rate = not math.isfinite(sample[at.AY]), not math.isfinite(sample[at.YAW_RATE])
@@ -120,7 +140,8 @@ def _codes_run(ages, samples, outside, stale, dt, codes):
         astray = outside[k] and turns and vx > MIN_SPEED
         if weigh(ages[OUTSIDE:], astray, not astray, dt, OUTSIDE_TIME) and vx > MIN_SPEED:
             code |= EXTRAPOLATING
-        if max(ages[OF_VX], ages[OF_STEER], ages[OF_TURN]) > stale:
+        spins = _spins(ages, sample, beta[k])
+        if spins or max(ages[OF_VX], ages[OF_STEER], ages[OF_TURN]) > stale:
             code |= INVALID
         if vx < REVERSE_SPEED:
             code |= REVERSE
