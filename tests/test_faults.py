@@ -184,6 +184,14 @@ def test_a_filter_that_is_not_finite_is_seen(log):
     assert np.flatnonzero(~answers_of(estimate).finite).tolist() == [7]
 
 
+def test_a_flag_that_moves_a_little_is_not_left():
+    sound = trial(0.0, status=status((400, 700)))
+    one = replace(sound, sound=sound.faulty, faulty=sound.faulty._replace(status=status((392, 706))))
+    assert judge("one spike", one) == PASSED
+    late = replace(one, faulty=one.faulty._replace(status=status((380, 700))))
+    assert "a flag is left" in judge("one spike", late)
+
+
 def test_calm_driving_does_not_count():
     calm = np.full(1500, 0.5)
     assert judge("sign flip", trial(ay=calm)) == NOT_JUDGED

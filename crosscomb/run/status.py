@@ -49,16 +49,22 @@ SPUN, CAUGHT = math.radians(40.0), math.radians(20.0)
 AHEAD = 0.3
 """Where ay and yaw rate say that beta will be by then [s] counts."""
 
-OF_VX, OF_STEER, OF_TURN, HAS_AX, MEAN_AY, OUTSIDE, _SAID, SPINS = range(8)
+DOUBT_TIME = 0.1
+"""The doubt is above `UNCERTAIN_STD` for longer than it is below by so much [s] before it is said: no word flickers."""
+
+MORE_DOUBT = 1.25
+"""So many times as much doubt is said at once."""
+
+OF_VX, OF_STEER, OF_TURN, HAS_AX, MEAN_AY, OUTSIDE, _SAID, SPINS, DOUBTED, _TOLD = range(10)
 
 
 def start_ages() -> np.ndarray:
-    """State before the first sample of a drive ``(8,)``.
+    """State before the first sample of a drive ``(10,)``.
 
     Samples since vx, steer, and yaw rate or ay were measured; 1 once ax was; mean of ay [m/s^2]; whether the input is
-    outside the training data, see `crosscomb.logs.verdict`; 1 while the car spins.
+    outside the training data, see `crosscomb.logs.verdict`; 1 while the car spins; whether the answer is uncertain.
     """
-    return np.array([NEVER, NEVER, NEVER, 0.0, 0.0, 0.0, 0.0, 0.0])
+    return np.array([NEVER, NEVER, NEVER, *7 * [0.0]])
 
 
 def status_codes(
@@ -74,7 +80,7 @@ def status_codes(
 
     Parameters
     ----------
-    ages : (8,)
+    ages : (10,)
         Changed in place.
     samples : (n, 17)
         As in `crosscomb.filters.base.Inputs`.
@@ -92,9 +98,8 @@ def status_codes(
         Places in `TEXTS`.
     """
     codes = np.empty(len(samples), dtype=np.int64)
-    _codes_run(ages, samples, outside, beta, STALE / dt, dt, codes)
-    fast = samples[:, at.VX] > MIN_SPEED
-    return codes | RECOVERING * recovering | UNCERTAIN * (fast & (beta_std > UNCERTAIN_STD))
+    _codes_run(ages, samples, outside, beta, beta_std, STALE / dt, dt, codes)
+    return codes | RECOVERING * recovering
 
 
 @inlined
@@ -119,8 +124,17 @@ def _spins(ages, sample, beta):
     return ages[SPINS] == 1.0
 
 
+@inlined
+def _is_uncertain(ages, beta_std, dt):
+    """Tell whether the answer is uncertain."""
+    if beta_std > MORE_DOUBT * UNCERTAIN_STD:
+        ages[DOUBTED], ages[_TOLD] = 2.0 * DOUBT_TIME, 1.0
+    doubtful = beta_std > UNCERTAIN_STD
+    return weigh(ages[DOUBTED:], doubtful, not doubtful, dt, DOUBT_TIME)
+
+
 @kernel
-def _codes_run(ages, samples, outside, beta, stale, dt, codes):
+def _codes_run(ages, samples, outside, beta, beta_std, stale, dt, codes):
     for k in range(codes.size):
         sample, vx = samples[k], samples[k, at.VX]
         no_ay, no_yaw_rate = not math.isfinite(sample[at.AY]), not math.isfinite(sample[at.YAW_RATE])
@@ -140,6 +154,8 @@ def _codes_run(ages, samples, outside, beta, stale, dt, codes):
         astray = outside[k] and turns and vx > MIN_SPEED
         if weigh(ages[OUTSIDE:], astray, not astray, dt, OUTSIDE_TIME) and vx > MIN_SPEED:
             code |= EXTRAPOLATING
+        if _is_uncertain(ages, beta_std[k], dt) and vx > MIN_SPEED:
+            code |= UNCERTAIN
         spins = _spins(ages, sample, beta[k])
         if spins or max(ages[OF_VX], ages[OF_STEER], ages[OF_TURN]) > stale:
             code |= INVALID

@@ -8,10 +8,13 @@ from collections.abc import Callable
 import numpy as np
 
 from crosscomb.signals import MIN_SPEED
-from crosscomb.training.suites.fault_trials import WRONG, Trial, holds
+from crosscomb.training.suites.fault_trials import FLAGS, WRONG, Trial, holds
 
 SAME_SAMPLE = 0.016
 """Rows of this time [s] are of the same sample: the filters' own are 10 ms apart, and a row may fall between them."""
+
+LITTLE = 0.1
+"""Flags begin and end this close [s] where particle filters only draw otherwise."""
 
 LASTING = 0.95
 """Share of the excited rows that a flag which lasts as long as its fault is up in."""
@@ -54,8 +57,8 @@ def _first(trial: Trial) -> str:
 
 
 def unflagged(trial: Trial, since: float) -> str:
-    """Have no flag left from a time [s] on."""
-    left = trial.flagged & (trial.t >= since)
+    """Have no flag left from a time [s] on; one that begins or ends a little otherwise is not left."""
+    left = trial.newly(*FLAGS, within=LITTLE) & (trial.t >= since)
     return f"a flag is left at {trial.t[left].max():.2f} s" if left.any() else PASSED
 
 

@@ -97,9 +97,12 @@ class Trial:
         """Rows ``(n,)`` that hold one of `FLAGS` which the sound log's do not."""
         return self.newly(*FLAGS)
 
-    def newly(self, *words: str) -> np.ndarray:
-        """Rows ``(n,)`` whose status holds one of the words, and not in the sound log."""
-        rows = [holds(self.faulty.status, word) & ~holds(self.sound.status, word) for word in words]
+    def newly(self, *words: str, within: float = 0.0) -> np.ndarray:
+        """Rows ``(n,)`` whose status holds one of the words, and not in the sound log, nor there `within` [s] of it."""
+        rows = [
+            holds(self.faulty.status, word) & (distances(self.t, holds(self.sound.status, word)) > within)
+            for word in words
+        ]
         return np.any(rows, axis=0)
 
     def excited_time(self) -> tuple[np.ndarray, np.ndarray]:
@@ -107,6 +110,13 @@ class Trial:
         strong = np.where(np.abs(self.ay) > EXCITED_AY, self.t, -math.inf)
         excited = self.t - np.maximum.accumulate(strong) <= 1.0
         return excited, np.cumsum(np.diff(self.t, prepend=self.t[0]) * excited)
+
+
+def distances(t: np.ndarray, marked: np.ndarray) -> np.ndarray:
+    """Time ``(n,) [s]`` from each row to the nearest marked one; infinite where none is."""
+    before = np.maximum.accumulate(np.where(marked, t, -math.inf))
+    after = np.minimum.accumulate(np.where(marked, t, math.inf)[::-1])[::-1]
+    return np.minimum(t - before, after - t)
 
 
 def holds(status: np.ndarray, word: str) -> np.ndarray:
