@@ -331,6 +331,19 @@ def test_a_single_sample_outside_the_training_is_not_said():
     assert set(TEXTS[codes]) == {"ok"}
 
 
+def test_doubt_about_its_bound_does_not_flicker():
+    samples, no = np.zeros((400, at.SAMPLE_WIDTH)), np.zeros(400, dtype=bool)
+    samples[:, at.VX] = 20.0
+    beta_std = np.radians(np.where(np.arange(400) % 8 < 5, 1.51, 1.49))
+    beta_std[:100] = beta_std[300:] = np.radians(1.0)
+    beta_std[50] = np.radians(1.6)
+    said = TEXTS[status_codes(start_ages(), samples, no, no, 0.0 * beta_std, beta_std, 0.01)] == "uncertain"
+    assert np.count_nonzero(np.diff(said)) == 2
+    assert 110 <= np.flatnonzero(said)[0] < 160
+    beta_std[50] = np.radians(2.0)  # large doubt is said at once
+    assert TEXTS[status_codes(start_ages(), samples, no, no, 0.0 * beta_std, beta_std, 0.01)][50] == "uncertain"
+
+
 @pytest.mark.parametrize(
     ("vx", "word"),
     [

@@ -282,3 +282,11 @@ def test_a_filter_begins_anew_where_it_is_told_to(log):
     assert seen.beta[0, 0] == pytest.approx(-0.2)
     running.begin_anew(drive, 0, np.nan)
     assert running.next_seen(drive, points[810:820]).beta[0, 0] > -0.1
+
+
+def test_a_corrected_answer_is_doubted_by_how_far_the_filters_are(log):
+    found = estimate_log(log, CAR, load_artefact("hybrid"))
+    apart = np.abs(np.column_stack(list(found.filters.values())) - found.beta[:, None]).max(axis=1)
+    trusted = (log.column("vx") > 3.0) & ~np.array(["extrapolating" in text for text in found.status])
+    assert (found.beta_std >= 0.5 * apart - 1e-9)[trusted].mean() > 0.99
+    assert found.beta_std.min() > 0.0

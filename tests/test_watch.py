@@ -243,7 +243,10 @@ def test_uncertain_is_said_where_the_error_may_be_large(drive: Signals) -> None:
     estimate = estimate_log(drive, CAR, load_artefact())
     uncertain = np.array(["uncertain" in text for text in estimate.status])
     fast = drive.column("vx") > 3.0
-    np.testing.assert_array_equal(uncertain, fast & (estimate.beta_std > UNCERTAIN_STD))
+    doubtful = fast & (estimate.beta_std > UNCERTAIN_STD)
+    assert doubtful.any()
+    assert uncertain[fast & (estimate.beta_std > 1.25 * UNCERTAIN_STD)].all()
+    assert (uncertain != doubtful).mean() < 0.1  # said, and taken back, a little later
 
 
 def test_what_contradicts_itself_is_doubted() -> None:

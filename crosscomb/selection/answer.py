@@ -17,6 +17,10 @@ from crosscomb.selection.features import Memory, all_features, innovations_of, m
 from crosscomb.selection.seen import Seen
 from crosscomb.selection.switch import SwitchState, make_switch_state, switch, switch_times
 
+FARTHEST = 0.5
+"""Share of the distance to the farthest filter that is a standard deviation of a corrected answer, beside what is
+foretold: a network was taught on cars that are as their files say, and knows nothing of others."""
+
 
 class Answer(NamedTuple):
     """What was made of the filters' estimates.
@@ -103,5 +107,6 @@ def select(selection: Selection, seen: Seen, healthy: np.ndarray | None = None) 
         answer, std, weight = correct(
             artefact.correction, selection.correction, features, anchor, beta, answer, std, dt
         )
+        std = np.hypot(std, FARTHEST * weight * np.abs(beta - answer[:, None]).max(axis=1))
         outside = weight < 0.5
     return Answer(answer, std, active, outside, decision)
