@@ -239,7 +239,8 @@ def test_a_short_hole_needs_no_recovery() -> None:
     assert recovering.sum() < 60
 
 
-def test_uncertain_is_said_where_the_error_may_be_large(drive: Signals) -> None:
+def test_uncertain_is_said_where_the_error_may_be_large() -> None:
+    drive = simulate_log(CAR, "road_slide", 3, surface="wet", duration=10.0)
     estimate = estimate_log(drive, CAR, load_artefact())
     uncertain = np.array(["uncertain" in text for text in estimate.status])
     fast = drive.column("vx") > 3.0
