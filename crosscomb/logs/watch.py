@@ -18,7 +18,6 @@ import numpy as np
 from crosscomb.logs.watch_rules import (
     CHANNELS,
     COUNT,
-    FACTOR,
     FAULTS,
     GOOD,
     LIMITS,
@@ -32,11 +31,8 @@ from crosscomb.logs.watch_rules import (
     STUCK,
     VX,
     judge_each,
-    judge_rest,
-    judge_signs,
-    judge_way,
-    take_means,
 )
+from crosscomb.logs.watch_ties import FACTOR, judge_rest, judge_signs, judge_way, take_means
 from crosscomb.models.compiled import kernel
 from crosscomb.models.vehicle import Vehicle
 from crosscomb.signals import COLUMN, MIN_SPEED
