@@ -15,6 +15,8 @@ Nothing judged is seen in any fit, and nothing is chosen by these figures.
 from __future__ import annotations
 
 import argparse
+import atexit
+import tempfile
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -47,7 +49,10 @@ def read(folder: Path) -> list[Recording]:
 
 def fitter_of(recordings: Sequence[Recording], selector: str, jobs: int) -> Fitter:
     """Filters run over the recordings, windows labelled."""
-    return make_fitter(recordings, selector, default_filters(recordings[0].vehicle), 1, jobs=jobs)
+    folder = tempfile.TemporaryDirectory()
+    atexit.register(folder.cleanup)
+    entries = default_filters(recordings[0].vehicle)
+    return make_fitter(recordings, selector, entries, Path(folder.name), 1, jobs=jobs)
 
 
 def pace(banks: Sequence[BankRun], artefact: Artefact) -> float:

@@ -36,7 +36,7 @@ def squares(fitter: Fitter, learned: Sequence[int], judged: Sequence[int]) -> tu
         fit_trees(learn.features, [np.minimum(lost, 30.0)], 0, 150)[0].predict(windows.features)
         for lost in excess.T
     ]
-    tree = fit_tree(learn.features, learn, True, SELECTORS["tree"].shapes[1], 0, weight)
+    tree = fit_tree(learn.features, learn, True, SELECTORS["tree"].shape, 0, weight)
     chosen = (tree.predict(windows.features), np.argmin(foretold, axis=0), windows.label)
     every, square = np.arange(len(windows.rmse)), windows.rmse**2
     counts = np.bincount(judged_owner)

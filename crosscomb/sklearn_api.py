@@ -5,6 +5,7 @@ Imported only on demand: everything else works without loading scikit-learn.
 
 from __future__ import annotations
 
+import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -180,8 +181,11 @@ class SideslipRegressor(RegressorMixin, BaseEstimator):
         recordings = as_recordings(X, car, y)
         require_enough(recordings, Path("X"))
         entries = default_filters(car, self.filters)
-        fitter = make_fitter(recordings, self.selector, entries, self.random_state, self.rate)
-        self.artefact_: Artefact = fitter.fit(range(len(recordings)))[0]
+        with tempfile.TemporaryDirectory() as folder:
+            fitter = make_fitter(
+                recordings, self.selector, entries, Path(folder), self.random_state, self.rate
+            )
+            self.artefact_: Artefact = fitter.fit(range(len(recordings)))[0]
         return self
 
     def predict(self, X: Sequence[Log]) -> list[np.ndarray]:

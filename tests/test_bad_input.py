@@ -298,7 +298,7 @@ def test_training_names_the_one_broken_log_and_computes_nothing(
     def forbidden(*_: object, **__: object) -> None:
         raise AssertionError("nothing may be computed")
 
-    monkeypatch.setattr("crosscomb.training.selectors.train.run_bank", forbidden)
+    monkeypatch.setattr("crosscomb.training.selectors.train.fill_shelf", forbidden)
     LOGS[fault][0](place)
     refused(train(crosscomb, place, tmp_path), tmp_path / "out", str(place.log), *LOGS[fault][1])
 

@@ -15,7 +15,7 @@ from crosscomb.selection.artefact import Artefact, load_artefact, save_artefact
 from crosscomb.training.recordings import Recording
 from crosscomb.training.selectors import compare as compare_module
 from crosscomb.training.selectors import fit, fit_boosted, fit_correction
-from crosscomb.training.selectors.bank import BankRun, run_bank
+from crosscomb.training.selectors.bank import BankRun, run_bank, with_windows
 from crosscomb.training.selectors.compare import (
     Comparison,
     bootstrap_ratio,
@@ -27,6 +27,7 @@ from crosscomb.training.selectors.compare import (
 from crosscomb.training.selectors.evaluate import BANDS, evaluate
 from crosscomb.training.selectors.fit import SELECTORS, STATISTICS
 from crosscomb.training.selectors.fit_tree import keep_what_is_sure
+from crosscomb.training.selectors.shelf import fill_shelf
 from crosscomb.training.selectors.train import default_filters
 
 
@@ -137,10 +138,12 @@ def banks(recordings) -> list[BankRun]:
 
 
 @pytest.fixture(scope="module")
-def artefacts(banks, small_trees, car) -> dict[str, Artefact]:
+def artefacts(recordings, small_trees, car, tmp_path_factory) -> dict[str, Artefact]:
     """One of each selector."""
-    fitters = compare_module.fitters_of(banks, default_filters(car), 100.0, None, 0)
-    return {fitter.selector: fitter.fit(range(len(banks)))[0] for fitter in fitters}
+    entries, folder = default_filters(car), tmp_path_factory.mktemp("shelf")
+    kept = fill_shelf(recordings, entries, 100.0, compare_module.KINDS, folder)
+    fitters = compare_module.fitters_of(kept, entries, 100.0, None, 0)
+    return {fitter.selector: fitter.fit(range(len(kept)))[0] for fitter in fitters}
 
 
 @pytest.mark.parametrize("name", list(SELECTORS))
@@ -159,7 +162,7 @@ def test_every_selector_comes_back_from_its_file_and_estimates_the_same(
 @pytest.mark.parametrize("name", list(SELECTORS))
 @pytest.mark.parametrize("size", [1, 13])
 def test_every_selector_works_in_pieces(artefacts, banks, name, size):
-    bank = compare_module.with_windows(banks[2], artefacts[name].window)
+    bank = with_windows(banks[2], artefacts[name].window)
     (run,) = bank.runs
     whole = select(start_selection(artefacts[name]), run)
     selection, parts = start_selection(artefacts[name]), []
@@ -207,7 +210,7 @@ def test_a_mirrored_drive_gets_the_mirrored_answer(artefacts, simulated, car, na
 def test_doubt_covers_what_it_was_calibrated_for(artefacts, banks):
     """On the logs of the fit; on new ones it is reported, as 95 % of them cannot be promised with ten logs."""
     for name in ("tree", "boosted", "soft", "hybrid"):
-        seen = [compare_module.with_windows(bank, artefacts[name].window) for bank in banks]
+        seen = [with_windows(bank, artefacts[name].window) for bank in banks]
         covered = evaluate(seen, artefacts[name]).table["switch", "coverage"].mean()
         assert 0.85 < covered <= 1.0
 

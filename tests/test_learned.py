@@ -180,7 +180,7 @@ def test_a_feedback_network_is_refused_where_it_does_not_belong() -> None:
 
 def test_too_little_data_is_refused(recordings) -> None:
     short = replace(
-        recordings[0], signals=replace(recordings[0].signals, frame=recordings[0].signals.frame[:300])
+        recordings[0], held=replace(recordings[0].signals, frame=recordings[0].signals.frame[:300])
     )
     with pytest.raises(UsageError, match="too few"):
         fit_network([short])

@@ -135,7 +135,7 @@ def with_truth(recording: Recording, keep: np.ndarray) -> Recording:
     """The recording with ground truth only where `keep` says."""
     frame = recording.signals.frame.copy()
     frame.loc[~keep, ["beta_ref", "vx_ref", "vy_ref"]] = np.nan
-    return replace(recording, signals=replace(recording.signals, frame=frame))
+    return replace(recording, held=replace(recording.signals, frame=frame))
 
 
 def test_rare_truth_still_labels_windows(recordings, banks):
@@ -164,7 +164,7 @@ def test_windows_without_truth_or_too_slow_are_left_out(recordings, banks):
 
 def test_fifty_hertz_logs_can_be_trained_on(recordings):
     log = recordings[2].signals
-    half = replace(recordings[2], signals=make_signals(log.frame.iloc[::2].reset_index(drop=True), "50 Hz"))
+    half = replace(recordings[2], held=make_signals(log.frame.iloc[::2].reset_index(drop=True), "50 Hz"))
     (bank,) = run_bank([half], default_filters(half.vehicle), 100.0, WINDOW)
     assert len(bank.windows(WINDOW).label) > 50
 
@@ -282,7 +282,7 @@ def test_a_recording_has_no_part_in_its_own_verdict(recordings):
     frame = recordings[index].signals.frame
     other = frame.assign(beta_ref=-3.0 * frame["beta_ref"] + 0.05)
     poisoned = list(recordings)
-    poisoned[index] = replace(recordings[index], signals=replace(recordings[index].signals, frame=other))
+    poisoned[index] = replace(recordings[index], held=replace(recordings[index].signals, frame=other))
     spoilt = train(poisoned, "paper", seed=1)
 
     name = recordings[index].name
@@ -300,7 +300,7 @@ def test_the_artefact_is_refitted_on_all_recordings(recordings, banks, trained):
     np.testing.assert_array_equal(np.float32(artefact.tree.highest), features.max(axis=0))
     assert sorted(artefact.training["data"]) == sorted(recording.name for recording in recordings)
     assert artefact.vehicle == recordings[0].vehicle
-    assert trained.shape in SELECTORS["tree"].shapes
+    assert trained.shape.depth in SELECTORS["tree"].depths
 
 
 def files_of(training: Training, folder: Path) -> tuple[bytes, str]:
@@ -315,12 +315,12 @@ def test_the_same_seed_gives_the_same_bytes_whatever_the_jobs(recordings, traine
     assert len(ticks) == steps(recordings, 5)
 
 
-def test_another_process_fits_the_same_correction(recordings):
-    """Networks and boosted trees, on large arrays that processes share."""
-    fitter = make_fitter(recordings[:4], "hybrid", default_filters(recordings[0].vehicle), 0)
+def test_another_process_fits_the_same_correction(recordings, tmp_path):
+    """Networks and boosted trees, on files that processes share."""
+    fitter = make_fitter(recordings[:4], "hybrid", default_filters(recordings[0].vehicle), tmp_path, 0)
     task = fitter, [0, 1, 2], [[3]]
     (here, _, (judged,)), (there, _, (also,)) = (
-        in_parallel(fit_and_judge, [task] * jobs, jobs, shared=True)[-1] for jobs in (1, 2)
+        in_parallel(fit_and_judge, [task] * jobs, jobs)[-1] for jobs in (1, 2)
     )
     assert here.model_dump_json() == there.model_dump_json()
     pd.testing.assert_frame_equal(judged.table, also.table, check_exact=True)
@@ -345,7 +345,7 @@ def test_one_class_only_is_refused_by_the_folder(recordings, banks, data_set):
     perfect = []
     for recording, bank in zip(recordings, banks, strict=True):
         frame = recording.signals.frame.assign(beta_ref=bank.joined(lambda run: run.beta)[:, 1])
-        perfect.append(replace(recording, signals=replace(recording.signals, frame=frame)))
+        perfect.append(replace(recording, held=replace(recording.signals, frame=frame)))
     with pytest.raises(UsageError) as caught:
         train(perfect)
     for word in (str(data_set), "dynamic_ekf is best in every window", "add recordings"):
@@ -358,7 +358,7 @@ def test_a_fold_with_one_class_is_no_obstacle(recordings, banks, monkeypatch):
     for index, (recording, bank) in enumerate(zip(recordings, banks, strict=True)):
         best = 0 if index == 3 else 1
         frame = recording.signals.frame.assign(beta_ref=bank.joined(lambda run: run.beta)[:, best])
-        altered.append(replace(recording, signals=replace(recording.signals, frame=frame)))
+        altered.append(replace(recording, held=replace(recording.signals, frame=frame)))
     for module, size in ((fit_module, "FULL"), (fit_module, "FEW"), (fit_correction, "DOUBT")):
         monkeypatch.setattr(module, size, Size(1, (8, 4), 40))
     for selector in ("tree", "paper", "hybrid"):
@@ -369,7 +369,7 @@ def test_a_fold_with_one_class_is_no_obstacle(recordings, banks, monkeypatch):
 def test_a_recording_without_a_whole_window_is_named(recordings):
     frame = recordings[1].signals.frame
     keep = np.arange(len(frame)) < 6
-    stub = replace(recordings[1], signals=replace(recordings[1].signals, frame=frame[keep]))
+    stub = replace(recordings[1], held=replace(recordings[1].signals, frame=frame[keep]))
     with pytest.raises(UsageError) as caught:
         train([recordings[0], stub, *recordings[2:]])
     assert str(stub.path) in str(caught.value)
@@ -459,7 +459,7 @@ def test_a_broken_log_is_named_before_anything_is_run(
     def forbidden(*_: object, **__: object) -> None:
         raise AssertionError("nothing may be run")
 
-    monkeypatch.setattr(train_module, "run_bank", forbidden)
+    monkeypatch.setattr(train_module, "fill_shelf", forbidden)
     monkeypatch.setattr("crosscomb.training.selectors.bank.run_filters", forbidden)
     with pytest.raises(UsageError) as caught:
         read_recordings(tmp_path)

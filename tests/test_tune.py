@@ -335,7 +335,7 @@ def test_a_recording_is_judged_by_noise_that_has_not_seen_it(recordings, monkeyp
     monkeypatch.setattr(tune_module, "score_logs", spy)
     some = recordings[:3]
     spoilt = replace(some[0].signals, frame=some[0].signals.frame.assign(beta_ref=0.1))
-    for first in (some[0], replace(some[0], signals=spoilt)):
+    for first in (some[0], replace(some[0], held=spoilt)):
         tune([first, *some[1:]], [entry("dynamic_ekf", **WRONG)], RATE, evaluations=6, folds=3, seed=1)
     plain, other = dict(judged[:3]), dict(judged[3:])
     assert set(plain) == set(other) == {recording.name for recording in some}
@@ -352,7 +352,7 @@ def test_an_overfit_is_refused(recordings):
         walk = np.cumsum(rng.normal(0.0, 1.0, n))
         beta = np.radians(3.0) * walk / np.abs(walk).max()
         frame = recording.signals.frame.assign(beta_ref=beta)
-        some.append(replace(recording, signals=replace(recording.signals, frame=frame)))
+        some.append(replace(recording, held=replace(recording.signals, frame=frame)))
     result = tune(some, [entry("dynamic_ekf")], RATE, evaluations=10, folds=4, seed=0).filters[0]
     assert losses(result.after, result.before, ERROR).mean() < -0.01
     assert not result.accepted

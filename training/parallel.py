@@ -15,16 +15,12 @@ from joblib import Parallel, delayed
 from joblib.externals.loky import reusable_executor
 from threadpoolctl import threadpool_limits
 
-LARGE = "100K"
-"""Arrays from this size on go to other processes once, as files that all of them map."""
-
 
 def in_parallel(
     work: Callable[..., Any],
     tasks: Iterable[tuple[Any, ...]],
     jobs: int,
     progress: Callable[[], None] | None = None,
-    shared: bool = False,
 ) -> list[Any]:
     """Do tasks in processes, one thread each, and give their results in order, which does not depend on how many.
 
@@ -37,13 +33,9 @@ def in_parallel(
         Processes.
     progress : callable, optional
         Called after each.
-    shared : bool
-        Tasks share large arrays: map them instead of sending them with each.
     """
-    # Mapped to be written to, though no write is shared: kernels would be compiled anew for read-only arrays.
-    parallel = Parallel(
-        n_jobs=jobs, return_as="generator", max_nbytes=LARGE if shared else None, mmap_mode="c"
-    )
+    # Nothing is mapped: kernels would be compiled anew for read-only arrays.
+    parallel = Parallel(n_jobs=jobs, return_as="generator", max_nbytes=None)
     results, parent = [], os.getpid()
     try:
         for result in parallel(delayed(_alone)(work, task, parent) for task in tasks):

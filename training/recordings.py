@@ -20,6 +20,7 @@ from crosscomb.logs.read import open_log, read_log
 from crosscomb.models.vehicle import Vehicle, load_vehicle
 from crosscomb.signals import Signals
 from crosscomb.training.metrics import countable
+from crosscomb.training.parallel import in_parallel
 
 LEAST_RECORDINGS = 7
 """Fewer cannot be split 75/15/10 and still leave five folds."""
@@ -35,14 +36,23 @@ class Recording:
         Log name, after its sub-folder where there are several.
     path : Path
     vehicle : Vehicle
-    signals : Signals
-        Completed.
+    held : Signals, optional
+        Completed; where left out the log is read anew each time somebody asks, with the `channel_map`.
+    channel_map : ChannelMap, optional
     """
 
     name: str
     path: Path
     vehicle: Vehicle
-    signals: Signals
+    held: Signals | None = None
+    channel_map: ChannelMap | None = None
+
+    @property
+    def signals(self) -> Signals:
+        """The log, completed."""
+        if self.held is not None:
+            return self.held
+        return complete(read_log(self.path, self.channel_map), self.vehicle)
 
     @property
     def is_simulated(self) -> bool:
@@ -116,6 +126,8 @@ def read_recordings(
     channel_map: ChannelMap | None = None,
     progress: Callable[[], None] | None = None,
     unscored: bool = False,
+    jobs: int = 1,
+    hold: bool = True,
 ) -> tuple[list[Recording], list[str]]:
     """Read all recordings of a data folder and of its sub-folders, one per vehicle.
 
@@ -130,6 +142,10 @@ def read_recordings(
         Called for each log that is read.
     unscored : bool
         Keep logs without ground truth too.
+    jobs : int
+        Processes.
+    hold : bool
+        Hold the logs in memory; else each is read anew when it is needed.
 
     Returns
     -------
@@ -142,8 +158,8 @@ def read_recordings(
     UsageError
         The folder is missing or holds no log, or a log or vehicle file is broken: it is named, nothing is run.
     """
-    recordings: list[Recording] = []
     notes: list[str] = []
+    tasks = []
     for place, logs in find_places(folder):
         beside = place / "vehicle.toml"
         if not vehicle and not beside.exists():
@@ -153,28 +169,40 @@ def read_recordings(
             continue
         car = load_vehicle(vehicle or beside)
         prefix = "" if place == folder else f"{place.name}/"
-        for path in logs:
-            if progress is not None:
-                progress()
-            if open_log(path, channel_map).is_foreign:
-                notes.append(
-                    f"{prefix}{path.name}: skipped, it has none of ay, yaw_rate, steer and steer_wheel"
-                )
-                continue
-            signals = read_log(path, channel_map)
-            notes += [f"{prefix}{path.name}: {note}" for note in signals.notes if "dropped" in note]
-            require_plausible(signals.source, check_units(signals, car))
-            signals = complete(signals, car)
-            if not unscored and not signals.has_reference:
-                notes.append(f"{prefix}{path.name}: skipped, it has no ground truth above walking speed")
-                continue
-            recordings.append(Recording(prefix + log_name(path), path, car, signals))
+        tasks += [(path, prefix, car, channel_map, unscored, hold) for path in logs]
+    read = in_parallel(_read_one, tasks, jobs, progress)
+    for result, _ in read:
+        if isinstance(result, UsageError):
+            raise result
+    recordings = [result for result, _ in read if isinstance(result, Recording)]
+    notes += [note for _, some in read for note in some]
     if not recordings and notes:
         raise UsageError(
             f"{folder}: holds nothing to use: {'; '.join(notes[:3])}{'; ...' if notes[3:] else ''}"
         )
     _require_unique([recording.name for recording in recordings], folder)
     return recordings, notes
+
+
+def _read_one(
+    path: Path, prefix: str, car: Vehicle, channel_map: ChannelMap | None, unscored: bool, hold: bool
+) -> tuple[Recording | UsageError | None, list[str]]:
+    """One log as a recording, or what is wrong with it, or None where it is skipped; and notes."""
+    name = f"{prefix}{path.name}"
+    try:
+        if open_log(path, channel_map).is_foreign:
+            return None, [f"{name}: skipped, it has none of ay, yaw_rate, steer and steer_wheel"]
+        signals = read_log(path, channel_map)
+        require_plausible(signals.source, check_units(signals, car))
+        notes = [f"{name}: {note}" for note in signals.notes if "dropped" in note]
+        signals = complete(signals, car)
+    except (
+        UsageError
+    ) as error:  # handed over, so that the first log in order is named and not the first one done
+        return error, []
+    if not unscored and not signals.has_reference:
+        return None, [*notes, f"{name}: skipped, it has no ground truth above walking speed"]
+    return Recording(prefix + log_name(path), path, car, signals if hold else None, channel_map), notes
 
 
 def files_of(recordings: Sequence[Recording], vehicle: str | Path | None = None) -> list[Path]:

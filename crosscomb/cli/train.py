@@ -72,7 +72,7 @@ def train(
     given = load_tuned(tuned, names)
     signs = load_map(channel_map)
     with terminal.progress("reading", sum(len(logs) for _, logs in find_places(data_dir))) as advance:
-        recordings, notes = read_recordings(data_dir, vehicle, signs, advance)
+        recordings, notes = read_recordings(data_dir, vehicle, signs, advance, jobs=jobs, hold=False)
     for note in notes:
         terminal.warn(note)
     require_enough(recordings, data_dir)

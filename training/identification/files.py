@@ -90,7 +90,7 @@ def identified_recording(recording: Recording, others: Sequence[Recording]) -> R
     named = {name: one for name, one in found.channels.items() if (one.column or name) in frame}
     found = found.model_copy(update={"channels": named})
     signals = apply_map(frame, found, recording.signals.name, recording.signals.source)
-    return replace(recording, vehicle=result.vehicle, signals=complete(signals, result.vehicle))
+    return replace(recording, vehicle=result.vehicle, held=complete(signals, result.vehicle))
 
 
 def _steering(result: Identification, channels: dict[str, Channel], found: dict[str, float]) -> str:

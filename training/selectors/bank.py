@@ -10,7 +10,7 @@ import numpy as np
 from crosscomb.run.drive import make_filters, run_filters
 from crosscomb.selection.artefact import FilterSettings
 from crosscomb.selection.seen import Seen
-from crosscomb.selection.windows import WindowSettings
+from crosscomb.selection.windows import WindowSettings, window_features
 from crosscomb.training.metrics import countable
 from crosscomb.training.parallel import in_parallel
 from crosscomb.training.recordings import Recording
@@ -41,6 +41,13 @@ class BankRun:
     beta_ref: np.ndarray
     counted: np.ndarray
 
+    @classmethod
+    def of(cls, name: str, is_simulated: bool, runs: list[Seen]) -> BankRun:
+        """Bank run of these stretches."""
+        beta_ref = np.concatenate([run.beta_ref for run in runs])
+        vx = np.concatenate([run.column("vx") for run in runs])
+        return cls(name, is_simulated, runs, beta_ref, countable(beta_ref, vx))
+
     def joined(self, part: Callable[[Seen], np.ndarray]) -> np.ndarray:
         """Join what `part` gives of each stretch over all of them."""
         return np.concatenate([part(run) for run in self.runs])
@@ -64,9 +71,16 @@ def run_one(
     """Run all filters on one recording."""
     made = make_filters(filters, recording.vehicle)
     runs = run_filters(recording.signals, recording.vehicle, made, rate, window)
-    beta_ref = np.concatenate([run.beta_ref for run in runs])
-    vx = np.concatenate([run.column("vx") for run in runs])
-    return BankRun(recording.name, recording.is_simulated, runs, beta_ref, countable(beta_ref, vx))
+    return BankRun.of(recording.name, recording.is_simulated, runs)
+
+
+def with_windows(bank: BankRun, settings: WindowSettings) -> BankRun:
+    """The same run seen through other windows."""
+    runs = []
+    for run in bank.runs:
+        windows = window_features(run.column("ay"), run.column("yaw_rate"), settings)
+        runs.append(replace(run, windows=windows))
+    return replace(bank, runs=runs)
 
 
 def run_bank(

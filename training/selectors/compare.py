@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import itertools
 import json
+import tempfile
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,19 +16,24 @@ import pandas as pd
 from crosscomb.filters.catalogue import DEFAULT_FILTERS
 from crosscomb.models.vehicle import Vehicle
 from crosscomb.selection.artefact import FilterSettings
-from crosscomb.selection.windows import WindowSettings, window_features
 from crosscomb.training.folds import grouped_folds
 from crosscomb.training.parallel import in_parallel
 from crosscomb.training.recordings import CARD, Recording, common_vehicle
-from crosscomb.training.selectors.bank import BankRun, run_bank
-from crosscomb.training.selectors.evaluate import SWITCH, Evaluation, pool, score_filters
-from crosscomb.training.selectors.fit import SELECTORS, STATISTICS, Fitter
+from crosscomb.training.selectors.evaluate import SWITCH, Evaluation, pool, scores_table
+from crosscomb.training.selectors.fit import SELECTORS, Fitter
 from crosscomb.training.selectors.fit_tree import fit_tree, to_tree
 from crosscomb.training.selectors.labels import Windows, concatenate
-from crosscomb.training.selectors.train import default_filters, fit_and_judge
+from crosscomb.training.selectors.shelf import Kept, fill_shelf
+from crosscomb.training.selectors.train import default_filters, fit_and_judge, fitter_on
 
 REFERENCES = ("imm", "mmae")
 """Published ways to combine models, run beside the selectors as they are."""
+
+KINDS = tuple(
+    (window, any(kind.needs_all for kind in SELECTORS.values() if kind.window == window))
+    for window in dict.fromkeys(kind.window for kind in SELECTORS.values())
+)
+"""Windows that the selectors look at, and whether one of them takes all features beside."""
 
 DRAWS = 2000
 """Bootstrap samples of recordings."""
@@ -129,13 +136,16 @@ def compare(
     """
     entries = default_filters(recordings[0].vehicle, filters)
     beside = default_filters(recordings[0].vehicle, [name for name in REFERENCES if name not in filters])
-    every = run_bank(recordings, [*entries, *beside], rate, STATISTICS, jobs, progress)
-    banks = [bank.only(range(len(entries))) for bank in every]
-    references = score_filters(every, [entry.name for entry in [*entries, *beside]])
     schemes = schemes_of(recordings, folds, seed)
-    fitters = fitters_of(banks, entries, rate, common_vehicle(list(recordings)), seed)
-    tasks = [(fitters, fit, test) for pairs in schemes.values() for fit, test in pairs]
-    judged = iter(in_parallel(judge_all, tasks, jobs, progress, shared=True))
+    with tempfile.TemporaryDirectory() as folder:
+        kept = fill_shelf(recordings, entries, rate, KINDS, Path(folder), jobs, progress, beside)
+        fitters = fitters_of(kept, entries, rate, common_vehicle(list(recordings)), seed)
+        tasks = [(fitters, fit, test) for pairs in schemes.values() for fit, test in pairs]
+        judged = iter(in_parallel(judge_all, tasks, jobs, progress))
+        leaks = leakage([windows.plain for windows in fitters[0].windows], folds, seed, jobs)
+    references = scores_table(
+        {one.name: one.scores for one in kept}, [one.name for one in [*entries, *beside]]
+    )
     of_scheme = {
         scheme: dict(
             zip(SELECTORS, map(pool, zip(*itertools.islice(judged, len(pairs)), strict=True)), strict=True)
@@ -159,23 +169,20 @@ def compare(
         ),
         by_manoeuvre=_together(of_folds, lambda one: one.rmse.groupby(driving).mean()),
         by_band=_together(of_folds, lambda one: one.by_band),
-        leakage=leakage(banks, folds, seed),
+        leakage=leaks,
     )
 
 
 def fitters_of(
-    banks: Sequence[BankRun], entries: list[FilterSettings], rate: float, vehicle: Vehicle | None, seed: int
+    kept: Sequence[Kept], entries: list[FilterSettings], rate: float, vehicle: Vehicle | None, seed: int
 ) -> list[Fitter]:
-    """One fitter for each selector; those whose windows are cut alike share them, and the trees that they fit."""
+    """One fitter for each selector, on recordings kept with `KINDS`; they share the trees that they fit."""
     known: dict[tuple[Hashable, ...], Any] = {}
-    of_windows: dict[str, tuple[list[BankRun], list[Windows]]] = {}
-    for kind in SELECTORS.values():
-        if kind.window.features not in of_windows:
-            seen = [with_windows(bank, kind.window) for bank in banks]
-            everything = kind.window == STATISTICS
-            of_windows[kind.window.features] = seen, [bank.windows(kind.window, everything) for bank in seen]
+    windows = [settings for settings, _ in KINDS]
     return [
-        Fitter(selector, rate, entries, vehicle, seed, *of_windows[kind.window.features], known)
+        replace(
+            fitter_on(kept, selector, entries, rate, vehicle, seed, windows.index(kind.window)), known=known
+        )
         for selector, kind in SELECTORS.items()
     ]
 
@@ -185,15 +192,6 @@ def judge_all(fitters: Sequence[Fitter], members: Sequence[int], others: Sequenc
     judged = [fit_and_judge(fitter, members, [others])[2][0] for fitter in fitters]
     fitters[0].known.clear()  # shared by all; no other fold asks for these trees
     return judged
-
-
-def with_windows(bank: BankRun, settings: WindowSettings) -> BankRun:
-    """The same run seen through other windows."""
-    runs = []
-    for run in bank.runs:
-        windows = window_features(run.column("ay"), run.column("yaw_rate"), settings)
-        runs.append(replace(run, windows=windows))
-    return replace(bank, runs=runs)
 
 
 def summary_of(evaluation: Evaluation, seed: int) -> dict[str, float]:
@@ -226,34 +224,39 @@ def bootstrap_ratio(evaluation: Evaluation, seed: int) -> tuple[float, float]:
     return float(low), float(high)
 
 
-def leakage(banks: Sequence[BankRun], folds: int, seed: int) -> pd.DataFrame:
+def leakage(parts: Sequence[Windows], folds: int, seed: int, jobs: int = 1) -> pd.DataFrame:
     """RMSE over windows [deg] of the default tree under random folds and under folds by recording.
 
     Random folds put windows a tenth of a second apart on both sides: what they promise is not kept on a new log.
     """
-    parts = [bank.windows(STATISTICS) for bank in banks]
-    windows, owner = concatenate(parts), np.repeat(np.arange(len(parts)), [len(part.rmse) for part in parts])
-    shape = SELECTORS["tree"].shapes[-1]
+    windows, owner = (
+        concatenate(list(parts)),
+        np.repeat(np.arange(len(parts)), [len(part.rmse) for part in parts]),
+    )
     dealt = np.random.default_rng(seed).integers(0, folds, len(owner))
     by_recording = np.empty(len(owner), dtype=np.int64)
-    for fold, (_, test) in enumerate(grouped_folds(list(range(len(banks))), folds, seed)):
+    for fold, (_, test) in enumerate(grouped_folds(list(range(len(parts))), folds, seed)):
         by_recording[np.isin(owner, test)] = fold
     rows = {}
     for name, fold_of in (("windows at random (leaks)", dealt), ("by recording", by_recording)):
+        left_out = [fold_of == fold for fold in np.unique(fold_of)]
+        picks = in_parallel(_picks, [(windows, out, seed) for out in left_out], jobs)
         picked = np.zeros(len(owner), dtype=np.int64)
-        for fold in np.unique(fold_of):
-            inside = fold_of != fold
-            part = windows.where(inside)
-            tree = to_tree(
-                fit_tree(part.features, part, True, shape, seed), part.features, windows.rmse.shape[1]
-            )
-            picked[~inside] = tree.predict(windows.features[~inside])
+        for out, some in zip(left_out, picks, strict=True):
+            picked[out] = some
         error = windows.rmse[np.arange(len(owner)), picked]
         rows[name] = {
             "RMSE [deg]": float(np.degrees(np.sqrt(np.mean(error**2)))),
             "accuracy": float(np.mean(picked == windows.label)),
         }
     return pd.DataFrame(rows).T
+
+
+def _picks(windows: Windows, left_out: np.ndarray, seed: int) -> np.ndarray:
+    """What the default tree of all other windows picks in the windows left out ``(w,) bool``."""
+    part = windows.where(~left_out)
+    fitted = fit_tree(part.features, part, True, SELECTORS["tree"].shape, seed)
+    return to_tree(fitted, part.features, windows.rmse.shape[1]).predict(windows.features[left_out])
 
 
 def _together(

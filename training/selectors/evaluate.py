@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -85,7 +85,7 @@ class Evaluation:
         return float(rmse[SWITCH] / rmse[self.best_single])
 
 
-def evaluate(banks: Sequence[BankRun], artefact: Artefact) -> Evaluation:
+def evaluate(banks: Iterable[BankRun], artefact: Artefact) -> Evaluation:
     """Score an artefact on recordings; its fitted part must not have seen them."""
     rows, classes = {}, len(artefact.filters)
     confusion, lost = np.zeros((classes, classes), dtype=np.int64), 0.0
@@ -130,15 +130,17 @@ def pool(evaluations: Sequence[Evaluation]) -> Evaluation:
     )
 
 
-def score_filters(banks: Sequence[BankRun], names: Sequence[str]) -> pd.DataFrame:
-    """RMSE and largest error [deg] of each filter on each recording, in columns as `Evaluation.table`."""
-    rows = []
-    for bank in banks:
-        each = bank.joined(lambda run: run.beta)
-        scores = [score(each[:, i], bank.beta_ref, bank.counted) for i in range(len(names))]
-        rows.append([np.degrees(value) for s in scores for value in (s.rmse, s.max_error)])
-    columns = pd.MultiIndex.from_product([list(names), ["rmse", "max"]])
-    return pd.DataFrame(rows, index=[bank.name for bank in banks], columns=columns)
+def filter_scores(bank: BankRun) -> list[float]:
+    """RMSE and largest error [deg] of each filter on a recording, one after the other."""
+    each = bank.joined(lambda run: run.beta)
+    scores = [score(beta, bank.beta_ref, bank.counted) for beta in each.T]
+    return [float(np.degrees(value)) for s in scores for value in (s.rmse, s.max_error)]
+
+
+def scores_table(rows: Mapping[str, list[float]], filters: Sequence[str]) -> pd.DataFrame:
+    """Scores of filters on recordings, in columns as `Evaluation.table`, from `filter_scores` of each."""
+    columns = pd.MultiIndex.from_product([list(filters), ["rmse", "max"]])
+    return pd.DataFrame(list(rows.values()), index=list(rows), columns=columns)
 
 
 def evaluate_one(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, TypeVar
 
 import numpy as np
@@ -33,6 +33,7 @@ from crosscomb.training.selectors.fit_correction import (
 )
 from crosscomb.training.selectors.fit_tree import (
     TreeShape,
+    cut,
     fit_tree,
     keep_what_is_sure,
     to_tree,
@@ -41,9 +42,12 @@ from crosscomb.training.selectors.fit_tree import (
 from crosscomb.training.selectors.fit_trust import fit_trust
 from crosscomb.training.selectors.labels import Windows, concatenate
 
-SHAPES = (TreeShape(4, 0.01), TreeShape(6, 0.005), TreeShape(8, 0.003))
+GROWN = TreeShape(8, 0.005)
+"""A tree is grown so far once, and cut to each depth that is tried."""
 
-ANY = SHAPES[1:2]
+DEPTHS = (4, 6, 8)
+
+ANY = TreeShape(6, 0.005)
 """Where boosted trees choose, the tree only knows the range of its features."""
 
 
@@ -57,8 +61,10 @@ class SelectorKind:
     window : WindowSettings
     by_regret : bool
         Weigh every choice in a window by the error it saves, instead of one plain label per window.
-    shapes : tuple of TreeShape
-        Trees to choose from by inner folds; one only is taken as it is.
+    shape : TreeShape
+        How far a tree grows.
+    depths : tuple of int
+        Depths that it may be cut to, chosen by inner folds; without any it stays as it grew.
     all_signals : bool
         The tree looks at all features instead of the windows.
     choice : {"", "hard", "soft"}
@@ -70,7 +76,8 @@ class SelectorKind:
     summary: str
     window: WindowSettings
     by_regret: bool = True
-    shapes: tuple[TreeShape, ...] = SHAPES
+    shape: TreeShape = GROWN
+    depths: tuple[int, ...] = ()
     all_signals: bool = False
     choice: str = ""
     corrected: bool = False
@@ -85,26 +92,28 @@ STATISTICS = WindowSettings(features="statistics", history=40)
 
 SELECTORS: dict[str, SelectorKind] = {
     "tree": SelectorKind(
-        "decision tree on statistics of ay and yaw-rate windows, trained for the cost of a wrong choice", STATISTICS
+        "decision tree on statistics of ay and yaw-rate windows, trained for the cost of a wrong choice", STATISTICS,
+        depths=DEPTHS,
     ),
     "paper": SelectorKind(
         "decision tree on the raw ay and yaw-rate windows with plain labels, as in Atheupe 2023",
         WindowSettings(features="raw"),
         by_regret=False,
-        shapes=(TreeShape(8, 0.01, 0.0),),
+        shape=TreeShape(8, 0.01, 0.0),
     ),
     "tree_all": SelectorKind(
-        "the same tree on all signals, innovations and the filters' disagreement", STATISTICS, all_signals=True
+        "the same tree on all signals, innovations and the filters' disagreement", STATISTICS,
+        depths=DEPTHS, all_signals=True,
     ),
     "boosted": SelectorKind(
-        "boosted trees on all signals that foretell the error of each filter", STATISTICS, shapes=ANY, choice="hard"
+        "boosted trees on all signals that foretell the error of each filter", STATISTICS, shape=ANY, choice="hard"
     ),
     "soft": SelectorKind(
-        "the same, blending the filters by calibrated probabilities", STATISTICS, shapes=ANY, choice="soft"
+        "the same, blending the filters by calibrated probabilities", STATISTICS, shape=ANY, choice="soft"
     ),
     "hybrid": SelectorKind(
         "learned correction of the best filter, fading to a blend outside the training data", STATISTICS,
-        shapes=ANY, choice="soft", corrected=True,
+        shape=ANY, choice="soft", corrected=True,
     ),
 }  # fmt: skip
 
@@ -134,8 +143,12 @@ class Fitter:
     vehicle : Vehicle or None
     seed : int
     banks : sequence of BankRun
-    windows : list of Windows
+    windows : sequence of Windows
         Of each recording.
+    rmse : sequence of (w, filters) [rad]
+        Of the windows of each recording.
+    simulated : sequence of bool
+        Whether each recording is.
     known : dict
         Trees that were fitted, by what they were fitted on: selectors that share it fit them once.
     """
@@ -146,7 +159,9 @@ class Fitter:
     vehicle: Vehicle | None
     seed: int
     banks: Sequence[BankRun]
-    windows: list[Windows]
+    windows: Sequence[Windows]
+    rmse: Sequence[np.ndarray]
+    simulated: Sequence[bool]
     known: dict[tuple[Hashable, ...], Any] = field(default_factory=dict)
 
     @property
@@ -165,12 +180,12 @@ class Fitter:
 
     def owner(self, members: Sequence[int]) -> np.ndarray:
         """Place in `members` of the recording of each of their windows ``(w,)``."""
-        return np.repeat(np.arange(len(members)), [len(self.windows[i].rmse) for i in members])
+        return np.repeat(np.arange(len(members)), [len(self.rmse[i]) for i in members])
 
     def balance(self, members: Sequence[int]) -> np.ndarray:
         """Weight of each recording ``(members,)``: simulated and real ones count the same in all."""
-        counts = np.array([len(self.windows[i].rmse) for i in members], float)
-        simulated = np.array([self.banks[i].is_simulated for i in members])
+        counts = np.array([len(self.rmse[i]) for i in members], float)
+        simulated = np.array([self.simulated[i] for i in members])
         weight = np.ones(len(counts))
         if 0 < simulated.sum() < len(counts):
             share = counts[simulated].sum() / counts[~simulated].sum()
@@ -179,16 +194,17 @@ class Fitter:
 
     def safe(self, members: Sequence[int]) -> int:
         """Filter with the lowest median RMSE: nearly right in most driving, whatever it does in slides."""
-        rmse = [np.sqrt(np.mean(self.windows[i].rmse ** 2, axis=0)) for i in members]
+        rmse = [np.sqrt(np.mean(self.rmse[i] ** 2, axis=0)) for i in members]
         return int(np.argmin(np.median(rmse, axis=0)))
 
     def fit(self, members: Sequence[int]) -> tuple[Artefact, TreeShape]:
         """Fit on some recordings: the shape of the tree and the trust are found on folds inside them."""
         inner = grouped_folds(list(members), INNER_FOLDS, self.seed)
-        candidates = [[(test, self._plain(fit, shape)) for fit, test in inner] for shape in self.kind.shapes]
+        depths = self.kind.depths or (self.kind.shape.depth,)
+        candidates = [[(test, self._plain(fit, depth)) for fit, test in inner] for depth in depths]
         best = int(np.argmin([self._rmse(fitted) for fitted in candidates]))
-        left_out, shape = candidates[best], self.kind.shapes[best]
-        artefact = self._plain(members, shape)
+        left_out, shape = candidates[best], replace(self.kind.shape, depth=depths[best])
+        artefact = self._plain(members, depths[best])
         if self.kind.choice:
             parts = [self._choice(fit) for fit, _ in inner]
             update = {"temperature": fit_temperature(parts, [self.together(test) for _, test in inner])}
@@ -205,11 +221,12 @@ class Fitter:
             artefact = artefact.model_copy(update={"correction": correction})
         return artefact, shape
 
-    def _plain(self, members: Sequence[int], shape: TreeShape) -> Artefact:
-        """Artefact with a tree only, its doubt not calibrated."""
+    def _plain(self, members: Sequence[int], depth: int) -> Artefact:
+        """Artefact with a tree of this depth only, its doubt not calibrated."""
         kind, safe = self.kind, self.safe(members)
-        what = ("tree", kind.window.features, kind.by_regret, kind.all_signals, shape, *members)
-        tree = self._once(what, lambda: self._tree(members, shape, safe))
+        what = (kind.window.features, kind.by_regret, kind.all_signals, kind.shape, *members)
+        grown = self._once(("tree", *what), lambda: self._grown(members, safe))
+        tree = self._once((depth, *what), lambda: self._sure(cut(grown, depth), members, safe))
         # The safe choice of the paper is the particle filter; ours is measured.
         paper = self.selector == "paper" and "random_walk_pf" in self.names
         return Artefact(
@@ -230,16 +247,21 @@ class Fitter:
             self.known[what] = fit()
         return self.known[what]  # type: ignore[no-any-return]
 
-    def _tree(self, members: Sequence[int], shape: TreeShape, safe: int) -> Tree:
+    def _grown(self, members: Sequence[int], safe: int) -> Tree:
+        """Tree as far as it grows."""
         windows = self.together(members)
         features = self._asked(windows)
         weight = self._weight(members, safe)
-        fitted = fit_tree(features, windows, self.kind.by_regret, shape, self.seed, weight)
-        tree = to_tree(fitted, features, len(self.filters))
-        if self.kind.by_regret:
-            tree = keep_what_is_sure(tree, tree.leaves(features), windows, self.owner(members), safe)
-            tree = without_idle_questions(tree)
-        return tree
+        fitted = fit_tree(features, windows, self.kind.by_regret, self.kind.shape, self.seed, weight)
+        return to_tree(fitted, features, len(self.filters))
+
+    def _sure(self, tree: Tree, members: Sequence[int], safe: int) -> Tree:
+        """The tree departs from the safe filter only where that surely pays."""
+        if not self.kind.by_regret:
+            return tree
+        windows = self.together(members)
+        leaves = tree.leaves(self._asked(windows))
+        return without_idle_questions(keep_what_is_sure(tree, leaves, windows, self.owner(members), safe))
 
     def _asked(self, windows: Windows) -> np.ndarray:
         """Features ``(w, f) float32`` that the tree asks for."""
@@ -279,7 +301,7 @@ class Fitter:
     def _weight(self, members: Sequence[int], anchor: int) -> np.ndarray:
         """Weight of each window of some recordings ``(w,)``, by what a filter leaves of them."""
         owner = self.owner(members)
-        rmse = np.concatenate([self.windows[i].rmse[:, anchor] for i in members])
+        rmse = np.concatenate([self.rmse[i][:, anchor] for i in members])
         return recording_weights(rmse, owner) * self.balance(members)[owner]
 
     def _correction(

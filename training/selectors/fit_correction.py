@@ -46,7 +46,7 @@ On simulated logs anything from 0.8 to 1 errs the same; the smaller, the less go
 MOST_WINDOWS = 200_000
 """So many windows train at most, evenly thinned: neighbours are near copies."""
 
-BATCH, EPOCHS = 512, 30
+BATCH, EPOCHS = 512, 20
 """Windows per step, and passes over the windows at most."""
 
 PHASES = ((4e-3, 0.7), (1e-3, 0.15), (2.5e-4, 0.15))
@@ -207,9 +207,10 @@ def fit_correction(
     """
     known = np.isfinite(windows.beta_ref)
     signs = mirror_signs(filters)
-    everything = with_mirrored(windows.everything[known], signs)
     missing = (windows.beta_ref - windows.beta[:, anchor])[known]
     every = np.arange(len(missing))[:: thinning(len(missing), MOST_WINDOWS)]
+    low, high = (end(windows.everything[known], axis=0) for end in (np.min, np.max))
+    reach = np.maximum(-low, high)
     network = fit_network(
         with_mirrored(windows.everything[known][every], signs),
         np.concatenate([missing[every], -missing[every]]) / UNIT,
@@ -222,8 +223,8 @@ def fit_correction(
         share=SHARE,
         bound=float(min(max(np.quantile(np.abs(missing), BOUND_QUANTILE), LEAST_ERROR), 1.5)),
         odd=(signs < 0.0).tolist(),
-        lowest=everything.min(axis=0).astype(float).tolist(),
-        highest=everything.max(axis=0).astype(float).tolist(),
+        lowest=np.where(signs < 0.0, -reach, low).astype(float).tolist(),
+        highest=np.where(signs < 0.0, reach, high).astype(float).tolist(),
     )
 
 

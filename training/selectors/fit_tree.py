@@ -157,35 +157,48 @@ def without_idle_questions(tree: Tree) -> Tree:
     ----------
     tree : Tree
     """
-    nodes = len(tree.feature)
     idle = [left < 0 for left in tree.left]
     picks = list(tree.picks)
-    for node in reversed(range(nodes)):  # children come later than their parent
+    for node in reversed(range(len(idle))):  # children come later than their parent
         left, right = tree.left[node], tree.right[node]
         if left >= 0 and idle[left] and idle[right] and picks[left] == picks[right]:
             idle[node], picks[node] = True, picks[left]
+    return ending_at(tree.model_copy(update={"picks": picks}), idle)
+
+
+def cut(tree: Tree, depth: int) -> Tree:
+    """The same tree no deeper than `depth` questions: what a node would have asked next, its larger share decides."""
+    depths = [0] * len(tree.feature)
+    for node, (left, right) in enumerate(zip(tree.left, tree.right, strict=True)):
+        if left >= 0:
+            depths[left] = depths[right] = depths[node] + 1
+    ends = [left < 0 or deep >= depth for left, deep in zip(tree.left, depths, strict=True)]
+    return ending_at(tree, ends)
+
+
+def ending_at(tree: Tree, ends: list[bool]) -> Tree:
+    """Keep of a tree what is reached when the walk ends at the nodes so marked."""
     kept: list[int] = []
 
     def keep(node: int) -> None:
         kept.append(node)
-        if not idle[node]:
+        if not ends[node]:
             keep(tree.left[node])
             keep(tree.right[node])
 
     keep(0)
     place = {node: i for i, node in enumerate(kept)}
-    leaf = [idle[node] for node in kept]
 
     def child(side: list[int]) -> list[int]:
-        return [-1 if end else place[side[node]] for node, end in zip(kept, leaf, strict=True)]
+        return [-1 if ends[node] else place[side[node]] for node in kept]
 
     return tree.model_copy(
         update={
-            "feature": [-1 if end else tree.feature[node] for node, end in zip(kept, leaf, strict=True)],
-            "threshold": [0.0 if end else tree.threshold[node] for node, end in zip(kept, leaf, strict=True)],
+            "feature": [-1 if ends[node] else tree.feature[node] for node in kept],
+            "threshold": [0.0 if ends[node] else tree.threshold[node] for node in kept],
             "left": child(tree.left),
             "right": child(tree.right),
             "shares": [tree.shares[node] for node in kept],
-            "picks": [picks[node] for node in kept],
+            "picks": [tree.picks[node] for node in kept],
         }
     )

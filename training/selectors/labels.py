@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -48,6 +48,11 @@ class Windows:
     def label(self) -> np.ndarray:
         """Filter with the lowest RMSE in each window ``(w,)`` (Atheupe 2023, eq. 33)."""
         return np.argmin(self.rmse, axis=1)
+
+    @property
+    def plain(self) -> Windows:
+        """Without all the features beside them."""
+        return replace(self, everything=self.everything[:, :0])
 
     def regret(self, chosen: np.ndarray) -> np.ndarray:
         """RMSE of the chosen filters ``(w,) int`` less that of the best one in each window ``(w,) [rad]``."""

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import os
+import tempfile
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
@@ -18,11 +20,10 @@ from crosscomb.selection.artefact import Artefact, FilterSettings
 from crosscomb.training.folds import Parts, grouped_folds, split_recordings
 from crosscomb.training.parallel import in_parallel
 from crosscomb.training.recordings import Recording, common_vehicle
-from crosscomb.training.selectors.bank import run_bank
 from crosscomb.training.selectors.evaluate import Evaluation, evaluate, pool
 from crosscomb.training.selectors.fit import SELECTORS, Fitter
 from crosscomb.training.selectors.fit_tree import TreeShape
-from crosscomb.training.selectors.labels import Windows, concatenate
+from crosscomb.training.selectors.shelf import Kept, banks_of, fill_shelf, windows_of
 from crosscomb.training.tuning.first import tuned_entries
 
 RATE = 100.0
@@ -105,15 +106,16 @@ def train(
     if tune_budget > 0:
         learning = [recordings[i] for i in split_recordings(len(recordings), seed).training]
         entries = tuned_entries(learning, entries, rate, tune_budget, seed, jobs, leave=tuned)
-    fitter = make_fitter(recordings, selector, entries, seed, rate, jobs, progress)
-    parts = split_recordings(len(fitter.banks), seed)
-    # The largest first, so that no process waits long for another at the end.
-    tasks = [
-        (list(range(len(fitter.banks))), []),
-        (parts.training, [parts.validation, parts.test]),
-        *((fit, [left]) for fit, left in grouped_folds(parts.training, folds, seed)),
-    ]
-    fits = in_parallel(fit_and_judge, [(fitter, *task) for task in tasks], jobs, progress, shared=True)
+    with tempfile.TemporaryDirectory() as folder:
+        fitter = make_fitter(recordings, selector, entries, Path(folder), seed, rate, jobs, progress)
+        parts = split_recordings(len(recordings), seed)
+        # The largest first, so that no process waits long for another at the end.
+        tasks = [
+            (list(range(len(recordings))), []),
+            (parts.training, [parts.validation, parts.test]),
+            *((fit, [left]) for fit, left in grouped_folds(parts.training, folds, seed)),
+        ]
+        fits = in_parallel(fit_and_judge, [(fitter, *task) for task in tasks], jobs, progress)
     (whole, shape, _), (_, _, (validation, test)) = fits[:2]
     cross = pool([judged for _, _, (judged,) in fits[2:]])
     record = _record(recordings, parts, seed, folds, shape, cross, validation, test)
@@ -125,17 +127,35 @@ def make_fitter(
     recordings: Sequence[Recording],
     selector: str,
     entries: list[FilterSettings],
+    folder: Path,
     seed: int,
     rate: float = RATE,
     jobs: int = 1,
     progress: Callable[[], None] | None = None,
 ) -> Fitter:
-    """Run the filters over recordings and label their windows; see `train` for the arguments and errors."""
+    """Run the filters over recordings and label their windows, into files of a folder that must outlive the fitter.
+
+    See `train` for the other arguments and errors.
+    """
     kind = SELECTORS[selector]
-    banks = run_bank(recordings, entries, rate, kind.window, jobs, progress)
-    windows = [bank.windows(kind.window, kind.needs_all) for bank in banks]
-    _require_choice(recordings, windows, entries)
-    return Fitter(selector, rate, entries, common_vehicle(list(recordings)), seed, banks, windows)
+    kept = fill_shelf(recordings, entries, rate, [(kind.window, kind.needs_all)], folder, jobs, progress)
+    _require_choice(recordings, [one.rmse[0] for one in kept], entries)
+    return fitter_on(kept, selector, entries, rate, common_vehicle(list(recordings)), seed)
+
+
+def fitter_on(
+    kept: Sequence[Kept],
+    selector: str,
+    entries: list[FilterSettings],
+    rate: float,
+    vehicle: Vehicle | None,
+    seed: int,
+    kind: int = 0,
+) -> Fitter:
+    """Fitter of a selector on recordings that were kept with its windows as the kind at this place."""
+    banks, windows = banks_of(kept, SELECTORS[selector].window), windows_of(kept, kind)
+    rmse, simulated = [one.rmse[kind] for one in kept], [one.is_simulated for one in kept]
+    return Fitter(selector, rate, entries, vehicle, seed, banks, windows, rmse, simulated)
 
 
 def fit_and_judge(
@@ -143,7 +163,7 @@ def fit_and_judge(
 ) -> tuple[Artefact, TreeShape, list[Evaluation]]:
     """Fit on some recordings, and judge that on each group of others."""
     artefact, shape = fitter.fit(members)
-    return artefact, shape, [evaluate([fitter.banks[i] for i in group], artefact) for group in others]
+    return artefact, shape, [evaluate((fitter.banks[i] for i in group), artefact) for group in others]
 
 
 def steps(recordings: Sequence[Recording], folds: int) -> int:
@@ -153,21 +173,21 @@ def steps(recordings: Sequence[Recording], folds: int) -> int:
 
 
 def _require_choice(
-    recordings: Sequence[Recording], windows: Sequence[Windows], filters: Sequence[FilterSettings]
+    recordings: Sequence[Recording], rmse: Sequence[np.ndarray], filters: Sequence[FilterSettings]
 ) -> None:
-    """Refuse recordings that cannot be labelled, or that leave nothing to select.
+    """Refuse recordings whose windows cannot be labelled, or leave nothing to select.
 
     Raises
     ------
     UsageError
     """
-    for recording, part in zip(recordings, windows, strict=True):
-        if len(part.features) == 0:
+    for recording, of_windows in zip(recordings, rmse, strict=True):
+        if len(of_windows) == 0:
             raise UsageError(
                 f"{recording.path}: nowhere fast enough for one whole window beside ground truth: "
                 f"take it out of the folder"
             )
-    best = np.unique(concatenate(list(windows)).label)
+    best = np.unique(np.argmin(np.concatenate(list(rmse)), axis=1))
     if len(best) == 1:
         folder = os.path.commonpath([recording.path.parent for recording in recordings])
         raise UsageError(

@@ -16,7 +16,7 @@ from crosscomb.run.drive import make_filters
 from crosscomb.selection.artefact import Artefact, FilterSettings
 from crosscomb.training.recordings import Recording, read_recordings
 from crosscomb.training.selectors.bank import run_bank
-from crosscomb.training.selectors.evaluate import Evaluation, evaluate, score_filters
+from crosscomb.training.selectors.evaluate import Evaluation, evaluate, filter_scores, scores_table
 from crosscomb.training.simulation.simulate import simulate_data_set, simulate_recording
 from crosscomb.training.suites.speed import timed
 
@@ -118,7 +118,8 @@ def _evaluate(
     evaluation = evaluate([bank.only(members) for bank in banks], artefact)
     if not filters:
         return evaluation
-    beside = score_filters(banks, [entry.name for entry in entries]).iloc[:, 2 * len(artefact.filters) :]
+    scores = {bank.name: filter_scores(bank) for bank in banks}
+    beside = scores_table(scores, [entry.name for entry in entries]).iloc[:, 2 * len(artefact.filters) :]
     return replace(evaluation, table=pd.concat([evaluation.table, beside], axis=1))
 
 

@@ -78,7 +78,7 @@ def _real(recording: Recording, setup: Setup) -> Done:
         return still, sound
     onset = float(moving[len(moving) // 2])
     near = part(log, np.abs(log.t - onset) <= 0.5 * LONGEST)
-    bench = make_bench(replace(recording, signals=near), False, onset, setup)
+    bench = make_bench(replace(recording, held=near), False, onset, setup)
     return try_faults(bench), sound
 
 
