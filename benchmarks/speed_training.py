@@ -16,6 +16,7 @@ import signal
 import subprocess
 import tempfile
 import time
+from contextlib import suppress
 from pathlib import Path
 from typing import NamedTuple
 
@@ -31,10 +32,10 @@ LOGS = {"hybrid": 200, "all": 100}
 
 
 class Run(NamedTuple):
-    """A command and the processes it started: wall and CPU time [s], and whether it came to its end."""
+    """A command and the processes it started: wall time [s], largest memory of all together [MB], whether it ended."""
 
     seconds: float
-    cpu: float
+    memory: float
     ended: bool
 
 
@@ -47,16 +48,29 @@ def run(*words: object, patience: float | None = None) -> Run:
         stderr=subprocess.DEVNULL,
         start_new_session=True,
     )
-    try:
-        code = process.wait(patience)
-    except subprocess.TimeoutExpired:
-        os.killpg(process.pid, signal.SIGKILL)
-        process.wait()
-        return Run(time.perf_counter() - start, float("nan"), False)
-    if code != 0:
-        raise SystemExit(f"{' '.join(map(str, words))[:200]}: exit code {code}")
-    times = os.times()
-    return Run(time.perf_counter() - start, times.children_user + times.children_system, True)
+    most = 0.0
+    while process.poll() is None:
+        if patience is not None and time.perf_counter() - start > patience:
+            os.killpg(process.pid, signal.SIGKILL)
+            process.wait()
+            return Run(time.perf_counter() - start, most, False)
+        most = max(most, memory_of(process.pid))
+        with suppress(subprocess.TimeoutExpired):
+            process.wait(0.5)
+    if process.returncode != 0:
+        raise SystemExit(f"{' '.join(map(str, words))[:200]}: exit code {process.returncode}")
+    return Run(time.perf_counter() - start, most, True)
+
+
+def memory_of(session: int) -> float:
+    """Memory of all processes of a session [MB], without the files that they map; 0 where the system does not tell."""
+    total = 0
+    for place in Path("/proc").glob("[0-9]*"):
+        with suppress(OSError, ValueError, IndexError):
+            if int((place / "stat").read_text().rpartition(")")[2].split()[3]) == session:
+                told = (place / "smaps_rollup").read_text()
+                total += int(told.partition("Pss_Anon:")[2].split()[0])
+    return total / 1024.0
 
 
 def error_of(command: str, artefact: Path, fresh: Path, folder: Path) -> float:
@@ -120,7 +134,7 @@ def main() -> None:
         for work in (work for work in asked.only if work in BARS):
             logs = simulate(LOGS[work], 11)
             new = train(asked.new, logs, work, f"new_{work}")
-            line = f"{work}, {LOGS[work]} logs: new {new.seconds:.0f} s"
+            line = f"{work}, {LOGS[work]} logs: new {new.seconds:.0f} s, {new.memory:.0f} MB"
             if asked.old:
                 old = train(asked.old, logs, work, f"old_{work}", asked.patience * new.seconds)
                 below = "" if old.ended else "below "
@@ -137,7 +151,7 @@ def main() -> None:
         if "growth" in asked.only:
             for count in (10, 100, 400):
                 grown = train(asked.new, simulate(count, 11), "hybrid", f"growth_{count}")
-                print(f"hybrid, {count} logs: {grown.seconds:.0f} s", flush=True)
+                print(f"hybrid, {count} logs: {grown.seconds:.0f} s, {grown.memory:.0f} MB", flush=True)
 
 
 if __name__ == "__main__":

@@ -202,3 +202,15 @@ def test_a_bar_that_nobody_sees_writes_nothing(capsys):
         for _ in range(3):
             advance()
     assert capsys.readouterr() == ("", "")
+
+
+def test_a_terminal_shows_the_worst_of_many_recordings(capsys):
+    rmse = pd.DataFrame(
+        {"zero": 1.0, "switch": np.linspace(0.1, 2.0, 90)}, index=[f"log_{i:02}" for i in range(90)]
+    )
+    terminal.show_scores("folds: 90 recordings", rmse, 3.0 * rmse)
+    said = capsys.readouterr().out
+    shown = [f"log_{i:02}" in said for i in range(90)]
+    assert shown == [False] * 50 + [True] * 40
+    assert said.index("log_89") < said.index("log_50")
+    assert "1.05 / 6.0" in said  # of all of them

@@ -93,10 +93,22 @@ def show(title: str, header: Sequence[str], rows: Sequence[Sequence[str]], left:
     console.print(table)
 
 
+MANY = 40
+"""So many recordings are shown in a terminal at most."""
+
+
 def show_scores(title: str, rmse: pd.DataFrame, largest: pd.DataFrame) -> None:
-    """Print RMSE / largest error [deg], recordings as rows and estimators as columns, with a summary row."""
+    """Print RMSE / largest error [deg], recordings as rows and estimators as columns, with a summary row.
+
+    Of many recordings those are shown where the switch is furthest off, the worst first.
+    """
     summaries = {"mean / largest": list(rmse.index)} if len(rmse) > 1 else {}
-    show(title, ["RMSE / max [deg]", *map(str, rmse.columns)], score_rows(rmse, largest, summaries))
+    rows = score_rows(rmse, largest, summaries)
+    if len(rmse) > MANY:
+        title += f", the {MANY} worst of the switch (the report has all)"
+        worst = np.argsort(-rmse["switch"].to_numpy(), kind="stable")[:MANY]
+        rows = [*(rows[i] for i in worst), rows[-1]]
+    show(title, ["RMSE / max [deg]", *map(str, rmse.columns)], rows)
 
 
 def show_training(training: Training) -> None:
