@@ -49,7 +49,7 @@ SPUN, CAUGHT = math.radians(40.0), math.radians(20.0)
 AHEAD = 0.3
 """Where ay and yaw rate say that beta will be by then [s] counts."""
 
-DOUBT_TIME = 0.1
+DOUBT_TIME = 0.03
 """The doubt is above `UNCERTAIN_STD` for longer than it is below by so much [s] before it is said: no word flickers."""
 
 MORE_DOUBT = 1.25

@@ -21,10 +21,10 @@ from crosscomb.filters.base import LOW_SPEED_STD, MAX_BETA
 from crosscomb.models.compiled import inlined, kernel
 from crosscomb.signals import MIN_SPEED
 
-WORDS = ("", "not finite", "diverged", "frozen", "astray", "restarted")
+WORDS = ("", "not finite", "diverged", "jumped", "frozen", "astray", "restarted")
 """Word of each state of health, by its code; 0 is a healthy filter."""
 
-HEALTHY, LOST, DIVERGED, FROZEN, ASTRAY, RESTARTED = range(6)
+HEALTHY, LOST, DIVERGED, JUMPED, FROZEN, ASTRAY, RESTARTED = range(7)
 
 MOST_STD = math.radians(12.0)
 """Who doubts more than this [rad] with all signals there has nothing to say: sound filters stay below 7 deg."""
@@ -53,8 +53,15 @@ TIE_TIME = 2.0
 AGREEMENT = 0.5
 """The others agree where they are within this share of their distance to the one that is alone."""
 
-ALONE_TIME = 1.0
-"""Who has been alone for longer than not by so much [s] is astray."""
+ALONE_TIME, MOST_WEIGHT = 1.0, 10.0
+"""Who has been alone for longer than not by so much [s] is astray; time counts more, up to so many times, the further
+from the others it is."""
+
+MOST_OFFSET, OFFSET_TIME = math.radians(8.0), 6.0
+"""Nor may the mean distance to the others over so long [s] be more than this [rad]: no slide lasts, but biases do."""
+
+FASTEST = 15.0
+"""Who changes faster than this [rad/s] has jumped."""
 
 NIS_TIME, USUAL_NIS_TIME = 1.0, 30.0
 """Time constants of the normalised innovation squared as it is, and as it usually is [s]."""
@@ -104,6 +111,7 @@ class HealthState(NamedTuple):
     tied: np.ndarray  # (filters,) what parts changes of beta from those that ay and yaw rate say [rad]
     nis: np.ndarray  # (2, filters) means over `NIS_TIME` and `USUAL_NIS_TIME`
     alone: np.ndarray  # (filters,) time alone less time not [s]
+    offset: np.ndarray  # (filters,) mean distance to the others over `OFFSET_TIME` [rad]
     wrong: np.ndarray  # (filters,) for how long something is wrong with it [s]
     wait: np.ndarray  # (filters,) time until it may be healthy [s]
     since: np.ndarray  # (filters,) time since its last begin [s]
@@ -130,12 +138,12 @@ that lack a signal, grace left after it [s]; samples so far; newest yaw rate [ra
 def start_health(filters: int) -> HealthState:
     """Make the state before the first sample of a drive."""
     last, told = np.full((2, filters), np.nan)
-    still, tied, alone, wrong, wait, quarantine, step, order = np.zeros((8, filters))
+    still, tied, alone, offset, wrong, wait, quarantine, step, order = np.zeros((9, filters))
     codes, before, restart = np.zeros((3, filters), dtype=np.int64)
     since, common = np.full(filters, math.inf), np.zeros(8)
     common[DOUBT], common[LAST_YAW] = LOW_SPEED_STD, math.nan
     return HealthState(
-        last, still, tied, np.full((2, filters), np.nan), alone, wrong, wait, since, quarantine, told, step,
+        last, still, tied, np.full((2, filters), np.nan), alone, offset, wrong, wait, since, quarantine, told, step,
         codes, before, restart, order, common,
     )  # fmt: skip
 
@@ -220,50 +228,59 @@ def _take_tie(state, i, sample, beta, dt):
 
 
 @inlined
-def _is_alone(state, i, beta, beta_std, surprised):
-    """Tell whether a filter is far from all the healthy others, of which there are two or more, who agree.
+def _loneliness(state, i, beta, beta_std, surprised, dt):
+    """Tell how far a filter is from all the healthy others, of which there are two or more, who agree.
 
     But for gentle driving one that changes more as the accelerometer says than any of them may be the one that sees
     a slide.
+
+    Returns
+    -------
+    float
+        Distance over what is too far now, at most `MOST_WEIGHT`; 0 where it is not alone.
     """
     least, largest, tied, count = math.inf, -math.inf, math.inf, 0
     for j in range(beta.size):
         if j != i and state.codes[j] == HEALTHY and math.isfinite(beta[j]) and math.isfinite(beta_std[j]):
             least, largest, count = min(least, beta[j]), max(largest, beta[j]), count + 1
             tied = min(tied, abs(state.tied[j]))
-    if count < 2:
-        return False
+    middle = 0.5 * (least + largest) if count >= 2 else beta[i]
+    state.offset[i] += min(dt / OFFSET_TIME, 1.0) * (beta[i] - middle - state.offset[i])
+    away = max(least - beta[i], beta[i] - largest)
+    if count < 2 or largest - least > AGREEMENT * away:
+        return 0.0
     most = MOST_ALONE_SURPRISED if surprised else MOST_ALONE
     if state.common[AY] < GENTLE_AY:
         most = MOST_ALONE_GENTLE
+    elif abs(state.offset[i]) > MOST_OFFSET:
+        most = MOST_OFFSET
     elif abs(state.tied[i]) < tied:
-        return False
-    away = max(least - beta[i], beta[i] - largest)
-    return away > most and largest - least < AGREEMENT * away
+        return 0.0
+    return min(away / most, MOST_WEIGHT) if away > most else 0.0
 
 
 @inlined
 def _sign_of(state, i, sample, beta, beta_std, nis, moved, lacks, dt):
     """Tell what is wrong with a filter at this sample."""
     surprised = _take_nis(state, i, nis[i], dt)
-    same = beta[i] == state.last[i]
+    same, jumped = beta[i] == state.last[i], abs(beta[i] - state.last[i]) > FASTEST * dt
     state.still[i] = (state.still[i] + (dt if moved else 0.0)) if same else 0.0
     _take_tie(state, i, sample, beta[i], dt)
     state.last[i] = beta[i]
     if not (math.isfinite(beta[i]) and math.isfinite(beta_std[i])):
         return LOST
     if not sample[at.VX] > MIN_SPEED:
-        state.alone[i] = state.still[i] = 0.0
+        state.alone[i] = state.offset[i] = state.still[i] = 0.0
         return HEALTHY
     excused = lacks or state.common[LEFT] > 0.0
     if abs(beta[i]) > MOST_BETA or (beta_std[i] > MOST_STD and not excused):
         return DIVERGED
     if state.still[i] > STILL_TIME:
         return FROZEN
-    if _is_alone(state, i, beta, beta_std, surprised):
-        state.alone[i] = min(state.alone[i] + dt, 2.0 * ALONE_TIME)
-    else:
-        state.alone[i] = max(state.alone[i] - dt, 0.0)
+    lonely = _loneliness(state, i, beta, beta_std, surprised, dt)
+    state.alone[i] = min(max(state.alone[i] + (lonely if lonely > 0.0 else -1.0) * dt, 0.0), 2.0 * ALONE_TIME)
+    if jumped:
+        return JUMPED
     if state.alone[i] > ALONE_TIME or (state.alone[i] > 0.0 and state.codes[i] == ASTRAY):
         return ASTRAY
     return HEALTHY
@@ -276,7 +293,7 @@ def _begin_anew(state, i):
     state.quarantine[i] = min(max(2.0 * state.quarantine[i], QUARANTINE), LONGEST_QUARANTINE)
     state.wait[i] = state.quarantine[i]
     state.last[i] = state.nis[0, i] = state.nis[1, i] = math.nan
-    state.since[i] = state.still[i] = state.tied[i] = state.alone[i] = state.wrong[i] = 0.0
+    state.since[i] = state.still[i] = state.tied[i] = state.alone[i] = state.offset[i] = state.wrong[i] = 0.0
 
 
 @inlined
