@@ -152,9 +152,9 @@ def test_a_grid_point_is_closed_by_the_first_row_that_reaches_it() -> None:
     assert segment.signals.column("ay").tolist() == [0.0, 1.0, 4.0]
 
 
-@pytest.mark.parametrize("rate", [100.0, 200.0])
+@pytest.mark.parametrize("rate", [50.0, 100.0, 150.0, 200.0, 250.0])
 def test_jitter_of_stamps_changes_no_grid_value(rate: float) -> None:
-    """Rows at the working rate, or twice it, whose stamps miss their time by a fifth of a step."""
+    """Rows at a multiple of half the working rate, whose stamps miss their time by a fifth of a step."""
     rng, n = np.random.default_rng(1), 1000
     t = np.arange(n) / rate
     ay = rng.normal(size=n)

@@ -25,8 +25,8 @@ MAX_AGE = 0.1
 _ROUNDING = 1e-6
 """Share of a step by which a time stamp may miss the grid and still be on it."""
 
-JITTER = 0.35
-"""Share of its own step by which a row may miss its place, where rows come at the working rate or a multiple of it."""
+JITTER = 0.45
+"""Share of its own step by which a row may miss its place, where rows come at a multiple of half the working rate."""
 
 SAME_RATE = 0.01
 """They do where their mean step misses it by no more than this share."""
@@ -153,7 +153,7 @@ def _steady(pace, place):
         return place
     if pace[3] == 2.0 or step < 1.6 * pace[1]:  # where rows are lost the pace is the same
         pace[1] += (step - pace[1]) / min(pace[3] - 1.0, PACE_ROWS)
-    simple = 1.0 / max(math.floor(1.0 / max(pace[1], 1e-9) + 0.5), 1.0)  # or faster, by a whole number
+    simple = 2.0 / max(math.floor(2.0 / max(pace[1], 1e-9) + 0.5), 1.0)  # twice the step over a whole number
     own, before = simple * math.floor(place / simple + 0.5), pace[2]
     pace[2] = own
     fits = abs(pace[1] - simple) < SAME_RATE * simple and own > before
