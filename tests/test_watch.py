@@ -258,3 +258,16 @@ def test_what_contradicts_itself_is_doubted() -> None:
     assert beta_std[1499] == pytest.approx(0.001)
     assert np.degrees(beta_std[1900]) > 1.2
     assert np.degrees(beta_std[2999]) < np.degrees(beta_std[1900])  # what lasts is usual
+
+
+def test_a_missing_ax_is_doubted_within_bounds() -> None:
+    """One filter of several cannot do without: the others can."""
+    lacking = samples(3000, slice(0, 0))
+    lacking[200:2200, at.AX] = np.nan
+    beta_std = np.full(3000, 0.01)
+    recovering = next_doubt(start_doubt(), lacking, np.zeros(3000), beta_std, 0.01)
+    assert (np.diff(beta_std[200:300]) > 0.0).all()
+    assert 0.015 < beta_std[2199] < 0.02
+    assert recovering[2205]
+    assert not recovering[-1]
+    assert beta_std[-1] < 0.0101

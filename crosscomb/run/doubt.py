@@ -18,6 +18,9 @@ from crosscomb.signals import MIN_SPEED
 YAW_RATE_DOUBT, AY_DOUBT, STEER_DOUBT, VX_DOUBT = 0.10, 0.06, 0.03, 0.02
 """How fast beta may go astray while yaw rate, ay, steering angle or speed are missing [rad/s]."""
 
+AX_DOUBT, MOST_AX_DOUBT = 0.01, 0.014
+"""The same while ax is missing [rad/s], and how far at most [rad]: one filter of several cannot do without."""
+
 MOST_DOUBT = 0.5
 """More is not doubted [rad]."""
 
@@ -85,6 +88,7 @@ def _growth(sample):
     """How fast the answer may go astray [rad/s]; 0 where nothing is missing."""
     growth = YAW_RATE_DOUBT if not math.isfinite(sample[at.YAW_RATE]) else 0.0
     growth += AY_DOUBT if not math.isfinite(sample[at.AY]) else 0.0
+    growth += AX_DOUBT if not math.isfinite(sample[at.AX]) else 0.0
     return growth + STEER_DOUBT * sample[at.STEER_HELD] + VX_DOUBT * sample[at.VX_HELD]
 
 
@@ -118,7 +122,8 @@ def _doubt_run(state, samples, beta, beta_std, dt, recovering):
             if state[MISSED] == 0.0 and math.isnan(state[BEFORE]):
                 state[BEFORE] = own
             state[MISSED] += dt
-            state[DOUBT] = min(state[DOUBT] + growth * dt, MOST_DOUBT)
+            most = MOST_AX_DOUBT if growth == AX_DOUBT else MOST_DOUBT
+            state[DOUBT] = min(state[DOUBT] + growth * dt, max(most, state[DOUBT] * fading))
         else:
             if 0.0 < state[MISSED] <= OUTAGE:
                 state[BEFORE] = math.nan
