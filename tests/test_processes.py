@@ -82,8 +82,7 @@ def test_a_stopped_training_leaves_nothing_and_lets_no_other_in(
 ) -> None:
     out = tmp_path / "out"
     run = start("train", data_set, "-o", out / "a.json", "--jobs", 2)
-    wait_for(lambda: len(members(run.pid)) > 2)
-    assert (out / ".crosscomb.lock").exists()
+    wait_for(lambda: (out / ".crosscomb.lock").exists() and len(members(run.pid)) > 2)
     other = crosscomb("train", data_set, "-o", out / "a.json", "--jobs", 1)
     assert other.code == 2
     assert other.err.startswith(f"error: {out}: another run writes its outputs there now: wait for it")
