@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import errno
+import os
 from dataclasses import fields
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from crosscomb.errors import UsageError
 from crosscomb.selection.seen import Seen
 from crosscomb.training.recordings import Recording, read_recordings
 from crosscomb.training.selectors.bank import run_one, with_windows
@@ -68,3 +72,13 @@ def test_every_part_of_a_run_is_kept():
     assert {field.name for field in fields(Seen)} == {
         "vehicle", "points", "inputs", "beta", "beta_std", "nis", "innovations", "extras", "windows",
     }  # fmt: skip
+
+
+def test_a_full_temporary_folder_is_named(recordings: list[Recording], tmp_path, monkeypatch):
+    def full(*_: object) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(Path, "open", full)
+    with pytest.raises(UsageError, match="TMPDIR") as told:
+        fill_shelf(recordings[:1], default_filters(recordings[0].vehicle), 100.0, KINDS, tmp_path)
+    assert str(tmp_path) in str(told.value)

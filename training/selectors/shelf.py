@@ -11,6 +11,7 @@ from typing import Generic, NamedTuple, TypeVar
 
 import numpy as np
 
+from crosscomb.errors import UsageError
 from crosscomb.filters.base import Inputs
 from crosscomb.models.vehicle import Vehicle
 from crosscomb.selection.artefact import FilterSettings
@@ -173,9 +174,14 @@ _ALIGNED = 8
 
 def _write(path: Path, arrays: Sequence[np.ndarray]) -> Stored:
     """Write arrays one behind the other."""
-    with path.open("wb") as out:
-        for array in arrays:
-            out.write(array.tobytes() + bytes(-array.nbytes % _ALIGNED))
+    try:
+        with path.open("wb") as out:
+            for array in arrays:
+                out.write(array.tobytes() + bytes(-array.nbytes % _ALIGNED))
+    except OSError as error:
+        raise UsageError(
+            f"{path.parent}: {error.strerror}: a training keeps about 3 MB a log there: set TMPDIR to a larger folder"
+        ) from None
     return Stored(path, [(array.dtype.str, array.shape) for array in arrays])
 
 
