@@ -16,8 +16,12 @@ from crosscomb.files import remove_unfinished
 
 WORDS = {signal.SIGINT: "interrupted", signal.SIGTERM: "terminated"}
 
-GRACE = 1.2
+GRACE = 1.0
 """So long [s] a run may take to end by itself; compiled code sees no signal before it returns."""
+
+
+PATIENCE = 0.4
+"""So long [s] is waited for each part of the cleaning up: workers are killed first, and joined at leisure."""
 
 
 class Stopped(BaseException):
@@ -88,14 +92,21 @@ def _watch(ours: socket.socket) -> None:
     os._exit(128 + numbers[0])
 
 
+def _end_workers() -> None:
+    parallel = sys.modules.get("crosscomb.training.parallel")
+    if parallel is not None:
+        parallel.end_workers()
+
+
 _cleaned = threading.Lock()
 
 
 def clean_up(number: int) -> None:
     """End worker processes, remove what is unfinished, and say one line, once."""
-    parallel = sys.modules.get("crosscomb.training.parallel")
-    if parallel is not None:
-        parallel.end_workers()
-    remove_unfinished()
+    for work in (_end_workers, remove_unfinished):
+        # Beside this thread: a library may hold a lock for ever that ending its workers needs.
+        aside = threading.Thread(target=work, daemon=True)
+        aside.start()
+        aside.join(PATIENCE)
     if _cleaned.acquire(blocking=False):
         print(f"error: {WORDS[signal.Signals(number)]}", file=sys.stderr, flush=True)
