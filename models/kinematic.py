@@ -26,6 +26,20 @@ def velocity_rates(vx, vy, yaw_rate, ax, ay):
 
 
 @inlined
+def slip_rate(vx, yaw_rate, ay):
+    """Rate of a small sideslip angle at steady speed [rad/s]: that of vy over vx.
+
+    Parameters
+    ----------
+    vx : float [m/s]
+        Positive.
+    yaw_rate : float [rad/s]
+    ay : float [m/s^2]
+    """
+    return ay / vx - yaw_rate
+
+
+@inlined
 def rotation(yaw_rate, dt):
     """Exact transition of the velocity over one step: the frame turns by yaw_rate dt under it.
 

@@ -6,6 +6,7 @@ Its two damping terms and its understeer gradient bound, place and judge what no
 from __future__ import annotations
 
 from crosscomb.models.compiled import inlined
+from crosscomb.models.kinematic import slip_rate
 
 
 @inlined
@@ -43,7 +44,7 @@ def linear_single_track_rates(yaw_rate, beta, vx, steer, steer_rear, car):
     yaw_r = -yaw_damping(car) / (car.yaw_inertia * vx)
     yaw_b = (b * rear - a * front) / car.yaw_inertia
     return (
-        ((a * fyf - b * fyr) / car.yaw_inertia, ay / vx - yaw_rate),
+        ((a * fyf - b * fyr) / car.yaw_inertia, slip_rate(vx, yaw_rate, ay)),
         ay,
         (yaw_r, ay_r / vx - 1.0, ay_r, yaw_b, ay_b / vx, ay_b),
     )

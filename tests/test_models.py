@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from crosscomb.models.kinematic import input_gain, rotation, slip_of_rolling_rear, velocity_rates
+from crosscomb.models.kinematic import input_gain, rotation, slip_of_rolling_rear, slip_rate, velocity_rates
 from crosscomb.models.random_walk import random_walk_jacobian, random_walk_rates
 from crosscomb.models.single_track import (
     FRICTION_MARGIN,
@@ -267,6 +267,13 @@ def test_kinematic_model_keeps_a_steady_circle() -> None:
     """A point that moves on a circle: constant velocity in the car's axes, acceleration square to it."""
     vx, vy, yaw_rate = 20.0, -2.0, 0.4
     assert velocity_rates(vx, vy, yaw_rate, -yaw_rate * vy, yaw_rate * vx) == (0.0, 0.0)
+
+
+def test_the_slip_changes_as_the_lateral_velocity_does_over_the_speed():
+    for vx, yaw_rate, ay in ((20.0, 0.3, 4.0), (5.0, -0.5, -2.5), (30.0, 0.0, 1.0)):
+        assert slip_rate(vx, yaw_rate, ay) == pytest.approx(
+            velocity_rates(vx, 0.0, yaw_rate, 0.0, ay)[1] / vx
+        )
 
 
 @pytest.mark.parametrize(("front", "rear"), [(0.3, 0.0), (0.3, -0.1), (-0.2, -0.2), (0.0, 0.0)])

@@ -13,6 +13,7 @@ import numpy as np
 
 from crosscomb.filters import columns as at
 from crosscomb.models.compiled import inlined, kernel
+from crosscomb.selection.health import MOST_DOUBT, next_tie
 from crosscomb.signals import MIN_SPEED
 
 YAW_RATE_DOUBT, AY_DOUBT, STEER_DOUBT, VX_DOUBT = 0.10, 0.06, 0.03, 0.02
@@ -20,9 +21,6 @@ YAW_RATE_DOUBT, AY_DOUBT, STEER_DOUBT, VX_DOUBT = 0.10, 0.06, 0.03, 0.02
 
 AX_DOUBT, MOST_AX_DOUBT = 0.01, 0.014
 """The same while ax is missing [rad/s], and how far at most [rad]: one filter of several cannot do without."""
-
-MOST_DOUBT = 0.5
-"""More is not doubted [rad]."""
 
 FADING = 0.7
 """Time constant with which doubt fades once everything is there again [s]."""
@@ -36,11 +34,8 @@ RECOVERED = 1.1
 SILENCE = 0.5
 """After a silence of the log an answer recovers at least so long [s]."""
 
-TIE_TIME = 2.0
-"""Changes of beta are held against ay and yaw rate over so long [s]."""
-
 USUAL_TIME = 20.0
-"""What parts them for longer than this [s] is usual."""
+"""What parts beta from ay and yaw rate for longer than this [s] is usual."""
 
 TIE_SHARE = 0.5
 """Share of what parts them that is a standard deviation of beta."""
@@ -95,14 +90,10 @@ def _growth(sample):
 @inlined
 def _tie_doubt(state, sample, beta, dt):
     """Doubt from what parts the changes of beta from those that ay and yaw rate give."""
-    vx, last = sample[at.VX], state[LAST]
-    state[LAST] = beta
-    if not vx > MIN_SPEED or math.isnan(last):
-        state[TIED] = 0.0
+    change, state[LAST] = beta - state[LAST], beta
+    state[TIED] = next_tie(state[TIED], change, sample, dt)
+    if not sample[at.VX] > MIN_SPEED or math.isnan(change):
         return 0.0
-    state[TIED] -= state[TIED] * dt / TIE_TIME
-    if math.isfinite(sample[at.AY]) and math.isfinite(sample[at.YAW_RATE]):
-        state[TIED] += dt * (sample[at.AY] / vx - sample[at.YAW_RATE]) - (beta - last)
     state[USUAL] += (state[TIED] - state[USUAL]) * dt / USUAL_TIME
     return TIE_SHARE * abs(state[TIED] - state[USUAL])
 

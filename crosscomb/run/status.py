@@ -9,6 +9,7 @@ import numpy as np
 from crosscomb.filters import columns as at
 from crosscomb.logs.verdict import weigh
 from crosscomb.models.compiled import inlined, kernel
+from crosscomb.models.kinematic import slip_rate
 from crosscomb.signals import MIN_SPEED
 
 STALE = 1.0
@@ -116,7 +117,7 @@ def _spins(ages, sample, beta):
     """Tell whether the car spins, by the answer and by where ay and yaw rate say that it goes."""
     vx, turned = sample[at.VX], 0.0
     if vx > MIN_SPEED and math.isfinite(sample[at.AY]) and math.isfinite(sample[at.YAW_RATE]):
-        turned = AHEAD * (sample[at.AY] / vx - sample[at.YAW_RATE])
+        turned = AHEAD * slip_rate(vx, sample[at.YAW_RATE], sample[at.AY])
     if not vx > MIN_SPEED or abs(beta) < CAUGHT:
         ages[SPINS] = 0.0
     elif abs(beta) > SPUN or abs(beta + turned) > SPUN:

@@ -19,6 +19,7 @@ import numpy as np
 from crosscomb.filters import columns as at
 from crosscomb.filters.catalogue import CATALOGUE
 from crosscomb.models.compiled import allocating
+from crosscomb.models.kinematic import slip_rate
 from crosscomb.models.vehicle import Vehicle
 from crosscomb.selection.seen import Seen
 from crosscomb.signals import MIN_SPEED
@@ -195,7 +196,7 @@ def _channels(held, sample, beta, beta_std, nis, innovations, car, lead, out):
     ay, yaw_rate = _hold(sample[at.AY], held, 0), _hold(sample[at.YAW_RATE], held, 1)
     ax, speed, steer = _hold(sample[at.AX], held, 2), max(sample[at.VX], MIN_SPEED), sample[at.STEER]
     wheels_turn, wheels_slip = _rear_wheels(sample, yaw_rate, speed, car.track_rear)
-    slip_rate = ay / speed - yaw_rate
+    turned = slip_rate(speed, yaw_rate, ay)
     filters = beta.size
     mean, least, largest = 0.0, math.inf, -math.inf
     for i in range(filters):
@@ -205,14 +206,14 @@ def _channels(held, sample, beta, beta_std, nis, innovations, car, lead, out):
         least, largest = min(least, out[BETAS + i]), max(largest, out[BETAS + i])
     out[0], out[1], out[2] = ay, yaw_rate, steer
     out[3] = (steer - sample[at.STEER_REAR]) * speed / car.wheelbase - yaw_rate
-    out[4], out[5] = slip_rate, wheels_turn
+    out[4], out[5] = turned, wheels_turn
     out[6] = sample[at.STEER_REAR] + car.b * yaw_rate / speed - car.rear_slip * ay
     if held[3] == 0.0:
         held[4] = yaw_rate
     held[4] += lead * (yaw_rate - held[4])
     out[7] = (yaw_rate - held[4]) / DIFFERENTIATION
     out[8], out[9], out[10], out[11] = sample[at.VX], ax, abs(ay), abs(yaw_rate)
-    out[12], out[13] = abs(slip_rate), wheels_slip
+    out[12], out[13] = abs(turned), wheels_slip
     out[14], out[15], out[16], out[17] = ay * yaw_rate, ay * steer, ay * mean, largest - least
     for i in range(filters):
         out[BETAS + filters + i] = min(nis[i], MOST_NIS) if math.isfinite(nis[i]) else 1.0

@@ -19,6 +19,7 @@ import numpy as np
 from crosscomb.filters import columns as at
 from crosscomb.filters.base import LOW_SPEED_STD, MAX_BETA
 from crosscomb.models.compiled import inlined, kernel
+from crosscomb.models.kinematic import slip_rate
 from crosscomb.signals import MIN_SPEED
 
 WORDS = ("", "not finite", "diverged", "jumped", "frozen", "astray", "restarted")
@@ -215,16 +216,23 @@ def _take_nis(state, i, nis, dt):
 
 
 @inlined
-def _take_tie(state, i, sample, beta, dt):
-    """Take how beta changed, beside what ay and yaw rate say."""
-    change = beta - state.last[i]
+def next_tie(tied, change, sample, dt):
+    """What parts the changes of a beta from those that ay and yaw rate give [rad], from what did before the sample.
+
+    Parameters
+    ----------
+    tied : float [rad]
+    change : float [rad]
+        Of beta since the sample before; not finite where it is not known.
+    sample : (17,)
+        As in `crosscomb.filters.base.Inputs`.
+    dt : float [s]
+    """
     if not (sample[at.VX] > MIN_SPEED and math.isfinite(change)):
-        state.tied[i] = 0.0
-        return
-    state.tied[i] -= state.tied[i] * min(dt / TIE_TIME, 1.0)
-    felt = sample[at.AY] / sample[at.VX] - sample[at.YAW_RATE]
-    if math.isfinite(felt):
-        state.tied[i] += dt * felt - change
+        return 0.0
+    tied -= tied * min(dt / TIE_TIME, 1.0)
+    felt = slip_rate(sample[at.VX], sample[at.YAW_RATE], sample[at.AY])
+    return tied + (dt * felt - change) if math.isfinite(felt) else tied
 
 
 @inlined
@@ -265,7 +273,7 @@ def _sign_of(state, i, sample, beta, beta_std, nis, moved, lacks, dt):
     surprised = _take_nis(state, i, nis[i], dt)
     same, jumped = beta[i] == state.last[i], abs(beta[i] - state.last[i]) > FASTEST * dt
     state.still[i] = (state.still[i] + (dt if moved else 0.0)) if same else 0.0
-    _take_tie(state, i, sample, beta[i], dt)
+    state.tied[i] = next_tie(state.tied[i], beta[i] - state.last[i], sample, dt)
     state.last[i] = beta[i]
     if not (math.isfinite(beta[i]) and math.isfinite(beta_std[i])):
         return LOST
@@ -351,7 +359,7 @@ def _reckon(state, sample, beta, beta_std, dt):
         return
     common[LONE] += dt
     common[DOUBT] = min(common[DOUBT] + RECKONED_DOUBT * dt, MOST_DOUBT)
-    rate = sample[at.AY] / max(sample[at.VX], MIN_SPEED) - sample[at.YAW_RATE]
+    rate = slip_rate(max(sample[at.VX], MIN_SPEED), sample[at.YAW_RATE], sample[at.AY])
     if math.isfinite(rate):
         common[ANSWER] = min(max(common[ANSWER] + rate * dt, -MAX_BETA), MAX_BETA)
 

@@ -209,10 +209,11 @@ def fit_correction(
     signs = mirror_signs(filters)
     missing = (windows.beta_ref - windows.beta[:, anchor])[known]
     every = np.arange(len(missing))[:: thinning(len(missing), MOST_WINDOWS)]
-    low, high = (end(windows.everything[known], axis=0) for end in (np.min, np.max))
+    seen = windows.everything[known]
+    low, high = seen.min(axis=0), seen.max(axis=0)
     reach = np.maximum(-low, high)
     network = fit_network(
-        with_mirrored(windows.everything[known][every], signs),
+        with_mirrored(seen[every], signs),
         np.concatenate([missing[every], -missing[every]]) / UNIT,
         np.tile(weight[known][every], 2), filters, anchor, size, seed,
     )  # fmt: skip

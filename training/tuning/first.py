@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -51,7 +52,8 @@ def tuned_entries(
     wanted = [entry for entry in entries if entry.name not in done and is_tunable(entry.name, ERROR)]
     if not wanted or len(chosen) < FOLDS:
         return list(entries)
-    some = [recordings[i] for i in sorted(chosen)]
+    # Held, so that none is read twice.
+    some = [replace(recordings[i], held=recordings[i].signals) for i in sorted(chosen)]
     tuning = tune(
         some, wanted, rate, ERROR, evaluations, rounds=1, folds=FOLDS, seed=seed, jobs=jobs, longest=LONGEST
     )
